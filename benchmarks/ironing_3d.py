@@ -23,8 +23,8 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.meshing.two_bodies import Arrays, distribute, exterior_facets, name_parts
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.meshing.two_bodies import Arrays, all_at, two_bodies
 
 COMM = MPI.COMM_WORLD
 BLOCK, HUB, DEPTH, GAP = (6.0, 2.4, 1.0), 0.5, 0.2, 0.02  # lengths; radius of what moves the tool
@@ -103,22 +103,22 @@ def create(
     tool: str, n: int, *, friction: float = 0.0, slave: str = "tool", options: dict | None = None
 ) -> Ironing:
     """Return the problem on n times as many cells in each direction; collective."""
-    mesh, first = distribute(COMM, lambda: (_block(n), _tool(n, tool)), "hexahedron")
-    in_block = mesh.topology.original_cell_index < first
-    facets, of_block, x = exterior_facets(mesh, in_block)
-    r = np.linalg.norm((x - [START, 0.0, 1.0 + GAP]) * (1.0, tool == "ball", 1.0), axis=2)
 
-    def all_at(values: Floats, at: float) -> np.ndarray:
-        return np.asarray((np.abs(values - at) < 1e-9).all(axis=1))
+    def sides(of_block: Bools, x: Floats) -> dict[str, Bools]:
+        r = np.linalg.norm((x - [START, 0.0, 1.0 + GAP]) * (1.0, tool == "ball", 1.0), axis=2)
+        return {
+            "base": of_block & all_at(x[:, :, 2], -BLOCK[2], 1e-9),
+            "top": of_block & all_at(x[:, :, 2], 0.0, 1e-9),
+            "underside": ~of_block & all_at(r, 1.0, 1e-9),
+            "hub": ~of_block & all_at(r, HUB, 1e-9),
+            "planes": all_at(np.abs(x[:, :, 1]), BLOCK[1] / 2, 1e-9),
+        }
 
-    sides = {
-        "base": of_block & all_at(x[:, :, 2], -BLOCK[2]),
-        "top": of_block & all_at(x[:, :, 2], 0.0),
-        "underside": ~of_block & all_at(r, 1.0),
-        "hub": ~of_block & all_at(r, HUB),
-        "planes": all_at(np.abs(x[:, :, 1]), BLOCK[1] / 2),
-    }
-    parts = name_parts(mesh, in_block, ("block", "tool"), facets, sides)
+    bodies = "block", "tool"
+    parts = two_bodies(
+        COMM, lambda: (_block(n), _tool(n, tool)), "hexahedron", "ironing", bodies, sides
+    )
+    mesh = parts.mesh
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     still, motion = fem.Constant(mesh, np.zeros(3)), fem.Constant(mesh, np.zeros(3))
 

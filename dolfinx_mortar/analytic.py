@@ -17,15 +17,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import xlogy
 
-from dolfinx_mortar.arguments import (
-    FINITE,
-    POISSON,
-    POSITIVE,
-    array,
-    check,
-    check_all,
-)
+from dolfinx_mortar.arguments import FINITE, POISSON, POSITIVE, array, check, check_all
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 
 __all__ = [
@@ -121,15 +115,6 @@ def _curvature(radii: Floats) -> float:
         return float(np.sum(1.0 / radii))
 
 
-ROUND = array(
-    *((), (1,), (2,)),
-    remedy="give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is "
-    "positive and smaller than the other, if that is hollow (negative)",
-    finite=False,
-    holds=lambda radii: 0.0 < _curvature(radii) < np.inf,
-)
-
-
 def effective_radius(radius: Radius) -> float:
     """Return R with 1/R = 1/R1 + 1/R2; one number stands for a round body on a flat one.
 
@@ -138,7 +123,14 @@ def effective_radius(radius: Radius) -> float:
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
     """
-    return 1.0 / _curvature(check("radius", radius, ROUND))
+    rule = array(
+        *((), (1,), (2,)),
+        remedy="give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is "
+        "positive and smaller than the other, if that is hollow (negative)",
+        finite=False,
+        holds=lambda radii: 0.0 < _curvature(radii) < np.inf,
+    )
+    return 1.0 / _curvature(check("radius", radius, rule))
 
 
 def hertz_line(
@@ -180,12 +172,6 @@ def hertz_point(
     return PointContact(force, R, E_star, a, 1.5 * force / (np.pi * a**2), a**2 / R)
 
 
-DEPTHS = array(
-    remedy="give finite depths >= 0, as they are positive into the body",
-    holds=lambda z: (z >= 0.0).all(),
-)
-
-
 def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
     """Principal stresses below the middle of a line contact (Johnson eq. 4.49).
 
@@ -200,7 +186,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
     [-1.0, -1.0, -0.5]
     """
     check_all(POISSON, nu=nu)
-    z = check("depth", depth, DEPTHS)
+    remedy = "give finite depths >= 0, as they are positive into the body"
+    z = check("depth", depth, array(remedy=remedy, holds=lambda z: (z >= 0.0).all()))
     s = np.sqrt(1.0 + z**2)
     sx, sy = 2.0 * z - (1.0 + 2.0 * z**2) / s, -1.0 / s
     return np.stack([sx, sy, nu * (sx + sy)], axis=-1)
@@ -245,14 +232,36 @@ class _History:
     weights: tuple[float, ...]  # of the legs, with the sign of the change of the force
     k: tuple[float, ...]  # of the legs
 
+    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
+        """Size of the contact, D, and of each leg size of stick, displacement/D, work/(mu P D)."""
+        raise NotImplementedError
+
     @property
     def force(self) -> float:
         """The present tangential force Q."""
         return self.forces[-1]
 
-    def _traction(self, x: npt.ArrayLike, a: float, sticks: tuple[float, ...]) -> Floats:
-        """Sum over legs that stick where |x| < c."""
+    @property
+    def displacement(self) -> float:
+        """Relative displacement of the bodies due to partial slip, positive along Q."""
+        _, largest, _, legs, _ = self._solution()
+        return float(largest * np.dot(self.weights, legs))
+
+    @property
+    def dissipation(self) -> float:
+        """Energy dissipated so far, >= 0; a closed loop takes four times the first loading."""
+        _, largest, _, _, legs = self._solution()
+        return float(
+            self.friction * self.contact.force * largest * np.dot(np.abs(self.weights), legs)
+        )
+
+    def traction(self, x: npt.ArrayLike) -> Floats:
+        """Shear traction at distances x from the middle, zero outside the contact.
+
+        Exerted by the body that pushes with Q on the other one: its integral is Q.
+        """
         at = check("x", x, FINITE)
+        a, _, sticks, _, _ = self._solution()
         total = np.zeros_like(at)
         for w, c in zip(self.weights, sticks, strict=True):
             # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, also for c = 0
@@ -271,47 +280,27 @@ class PartialSlip(_History):
         q_c(x) = mu p0 (sqrt(1 - x^2/a^2) - (c/a) sqrt(1 - x^2/c^2)),  the last term for |x| < c
 
     is summed over the legs: weight 1 for the first, then -2 and +2 in turn with half the change of
-    the force.
+    the force. A leg moves the bodies by weight D (1 - k + k ln k), D = mu P/(pi E*), and dissipates
+    |weight| mu P D (1 - k^2 + 2 k ln k)/2. Bodies of finite size move by C Q in addition, with
+    their compliance C without slip.
     """
+
+    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
+        at, k = self.contact, np.array(self.k)
+        largest = self.friction * at.force / (np.pi * at.E_star)
+        rest = xlogy(k, k)
+        energies = (1.0 - k**2) / 2.0 + rest
+        return at.half_width, largest, at.half_width * np.sqrt(k), 1.0 - k + rest, energies
 
     @property
     def stick_half_widths(self) -> tuple[float, ...]:
         """Half-widths of stick c = a sqrt(k) of all legs."""
-        return tuple(self.contact.half_width * float(np.sqrt(k)) for k in self.k)
+        return tuple(map(float, self._solution()[2]))
 
     @property
     def stick_half_width(self) -> float:
         """Half-width of stick of the present leg."""
         return self.stick_half_widths[-1]
-
-    @property
-    def dissipation(self) -> float:
-        """Energy dissipated so far, >= 0.
-
-        A leg takes |weight| mu^2 P^2/(2 pi E*) (1 - k^2 + 2 k ln k); a closed loop between -Q and Q
-        four times the first loading.
-        """
-        k, limit = np.array(self.k), self.friction * self.contact.force
-        legs = np.abs(self.weights) * (1.0 - k**2 + 2.0 * _k_ln_k(k))
-        return float(limit**2 / (2.0 * np.pi * self.contact.E_star) * legs.sum())
-
-    @property
-    def displacement(self) -> float:
-        """Relative displacement of the bodies due to partial slip, positive along Q.
-
-        mu P/(pi E*) (1 - k + k ln k) in the first loading. Bodies of finite size move by C Q in
-        addition, with their compliance C without slip.
-        """
-        k, limit = np.array(self.k), self.friction * self.contact.force
-        legs = np.array(self.weights) * (1.0 - k + _k_ln_k(k))
-        return float(limit / (np.pi * self.contact.E_star) * legs.sum())
-
-    def traction(self, x: npt.ArrayLike) -> Floats:
-        """Shear traction at distances x from the middle, zero outside the contact.
-
-        Exerted by the body that pushes with Q on the other one: its integral is Q.
-        """
-        return self._traction(x, self.contact.half_width, self.stick_half_widths)
 
 
 def cattaneo_line(contact: LineContact, friction: float, force: Force) -> PartialSlip:
@@ -343,50 +332,34 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
 class PartialSlipPoint(_History):
     """A point contact after a history of tangential forces, see `PartialSlip`.
 
-    With c = a k^(1/3), r in place of x, and a finite displacement. Slip across the force is
-    neglected, right to some per cent (Johnson eqs. 7.40 to 7.42).
+    With c = a k^(1/3) and r in place of x. A leg moves distant points of the bodies by weight D (1
+    - k^(2/3)), D = 3 mu P (2 - nu)/(8 a E* (1 - nu)), and dissipates |weight| mu P D (1 + 5 k - 5
+    k^(2/3) - k^(5/3))/5. Slip across the force is neglected, right to some per cent (Johnson eqs.
+    7.40 to 7.42).
     """
 
     nu: float  # Poisson's ratio of both
 
+    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
+        at, k, root = self.contact, np.array(self.k), np.cbrt(self.k)
+        stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
+        largest = 3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness
+        energies = (1.0 + 5.0 * k - (5.0 + k) * root**2) / 5.0
+        return at.contact_radius, largest, at.contact_radius * root, 1.0 - root**2, energies
+
     @property
     def stick_radii(self) -> tuple[float, ...]:
         """Radii of stick c = a k^(1/3) of all legs."""
-        return tuple(self.contact.contact_radius * float(np.cbrt(k)) for k in self.k)
+        return tuple(map(float, self._solution()[2]))
 
     @property
     def stick_radius(self) -> float:
         """Radius of stick of the present leg."""
         return self.stick_radii[-1]
 
-    @property
-    def displacement(self) -> float:
-        """Relative tangential displacement of distant points of the bodies.
-
-        D (1 - k^(2/3)) in the first loading, D = 3 mu P (2 - nu)/(8 a E* (1 - nu)).
-        """
-        legs = np.array(self.weights) * (1.0 - np.cbrt(self.k) ** 2)
-        return float(self._largest * legs.sum())
-
-    @property
-    def dissipation(self) -> float:
-        """Energy dissipated so far, >= 0.
-
-        A leg takes |weight| mu P D (1 + 5 k - 5 k^(2/3) - k^(5/3))/5.
-        """
-        k, root = np.array(self.k), np.cbrt(self.k) ** 2
-        legs = np.abs(self.weights) * (1.0 + 5.0 * k - 5.0 * root - k * root) / 5.0
-        return float(self.friction * self.contact.force * self._largest * legs.sum())
-
-    @property
-    def _largest(self) -> float:
-        at = self.contact
-        stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
-        return float(3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness)
-
     def traction(self, r: npt.ArrayLike) -> Floats:
         """Shear traction at distances r from the middle, as `PartialSlip.traction`."""
-        return self._traction(r, self.contact.contact_radius, self.stick_radii)
+        return super().traction(r)
 
 
 def mindlin_point(
@@ -407,15 +380,13 @@ def mindlin_point(
     return PartialSlipPoint(contact, float(friction), *legs, float(nu))
 
 
-FORCES = array((), (None,), remedy="give a finite number, or several in a sequence", holds=np.size)
-
-
 def _legs_of(force: Force, limit: float) -> Legs:
     """Forces of a history, weights of its legs (1, then 2, signed), and k of each.
 
     1 - k in [0, 1] is the change of the force over weight times mu P.
     """
-    path = np.atleast_1d(check("force", force, FORCES))
+    remedy = "give a finite number, or several in a sequence"
+    path = np.atleast_1d(check("force", force, array((), (None,), remedy=remedy, holds=np.size)))
     changes = np.diff(path, prepend=0.0)
     sizes = np.where(np.arange(len(path)) > 0, 2.0, 1.0)
     weights, shares = np.sign(changes) * sizes, np.abs(changes) / limit / sizes
@@ -431,11 +402,6 @@ def _legs_of(force: Force, limit: float) -> Legs:
     found = path, weights, 1.0 - np.minimum(shares, 1.0)
     forces, signed, k = (tuple(map(float, each)) for each in found)
     return forces, signed, k
-
-
-def _k_ln_k(k: Floats) -> Floats:
-    """Return k ln k, 0 at 0."""
-    return np.asarray(k * np.log(np.where(k > 0.0, k, 1.0)))
 
 
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:

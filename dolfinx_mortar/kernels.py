@@ -2,7 +2,6 @@
 """UFL expressions as compiled functions of numbers, without a mesh."""
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,38 +21,9 @@ _CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 
 
 def constants(count: int) -> ufl.Constant:
-    """Symbols for the arguments of `compile_vectors`."""
+    """Symbols for the arguments of `compile_kernel`."""
     domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(domain, shape=(count,))
-
-
-def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
-    """Return for each expression a function of the constants (n,)."""
-    # equal expressions would have the same name
-    told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
-    # one folder per rank
-    with tempfile.TemporaryDirectory() as folder:
-        compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
-            [(vector, ANYWHERE) for vector in told],
-            cache_dir=Path(folder),
-            cffi_extra_compile_args=["-O1"],
-        )
-    return [
-        _evaluation(module.ffi, one.tabulate_tensor_float64, vector.ufl_shape[0])
-        for one, vector in zip(compiled, vectors, strict=True)
-    ]
-
-
-def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]:
-    nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
-
-    def evaluate(numbers: Floats) -> Floats:
-        values, none = np.zeros(count + 1), np.zeros(1)
-        arrays = (values, none, np.ascontiguousarray(numbers), _CORNERS)
-        kernel(*(ffi.cast("double *", ffi.from_buffer(a)) for a in arrays), *nothing)
-        return values[:count]
-
-    return evaluate
 
 
 @dataclass(frozen=True)

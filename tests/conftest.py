@@ -131,3 +131,9 @@ def pytest_runtest_teardown(item):
 def rng():
     """Random numbers that are the same on all ranks and in every run."""
     return np.random.default_rng(1)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder that all ranks see."""
+    return COMM.bcast(tmp_path)

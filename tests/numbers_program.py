@@ -104,7 +104,7 @@ def operators(cases):
     kept, values, resultants = [], [], []
     for V, tags, numbers_of_sides in cases:
         sides = [create_surface(V, tags, tag, "side") for tag in numbers_of_sides]
-        pairing = create_pairing(V, *sides, None)
+        pairing = create_pairing(*sides, None)
         segments, _ = find_segments(pairing, None)
         keep = default_keep(pairing, segments, *node_weights(pairing, segments))
         matrices = node_matrices(pairing, segments, keep)

@@ -84,6 +84,34 @@ def newton(**given):
     return lambda c: dm.newton(c.problem(), **given)
 
 
+def anew(**given):
+    """Return a step of a tie that is given other values after its problem is made."""
+
+    def make(c):
+        tie = c.tie()
+        tied = c.problem([tie])
+        for name, value in given.items():
+            setattr(tie, name, value)
+        dm.newton(tied)
+
+    return make
+
+
+def walked(**given):
+    return lambda c: next(dm.load_steps(c.problem(), **{"times": [1.0]} | given))
+
+
+def mortar(call, name, other):
+    """Return a call in which a rank has another argument."""
+
+    def make(c):
+        own = {"V": c.V, "facet_tags": c.facets, "u": c.u} | SIDES
+        call(**own | ({name: other} if HERE else {}))
+
+    return make
+
+
+NODE = (0.0, -1.0)
 DIFFERENT = [
     ("materials.E", materials(lambda c: dm.Elastic(2000.0 if HERE else 1000.0, 0.3))),
     ("materials", materials(lambda c: dm.VonMises(1e3, 0.3, 5.0, 1e1) if HERE else ELASTIC)),
@@ -119,8 +147,24 @@ DIFFERENT = [
     # also if the value of one rank is wrong in itself: that rank would leave the others alone
     *(("rtol", newton(rtol=v if HERE else 1e-6)) for v in (1e-8, -1.0, None)),
     ("qp", newton(qp="no backend" if HERE else "active-set")),
-    ("times", lambda c: next(dm.load_steps(c.problem(), [1.0, 2.0][HERE:]))),
-    ("max_cuts", lambda c: next(dm.load_steps(c.problem(), [1.0], max_cuts=int(HERE)))),
+    ("times", walked(times=[1.0, 2.0][HERE:])),
+    ("max_cuts", walked(max_cuts=int(HERE))),
+    (
+        "ramp: table 1",
+        lambda c: walked(ramp={c.top: [(0.0, (0.0, 0.0)), (1.0, (0.0, -0.01 - HERE))]})(c),
+    ),
+    ("within", lambda c: c.problem([c.tie(within=1.0 + HERE)])),
+    *(("jump", anew(jump=v if HERE else [0.0, 1e-3])) for v in ([0.0, 2e-3], None)),
+    ("interfaces[0].tightening", anew(tightening=[0.0, 1e-3 * HERE])),
+    ("interfaces[0].pretension", anew(pretension=30.0 + HERE)),
+    ("interfaces[0].direction", anew(pretension=30.0, direction=[0.1 * HERE, -1.0])),
+    ("point", lambda c: dm.PointForce(c.V, (1.0 * HERE, -1.0), (0.0, 1.0))),
+    ("stiffness", lambda c: dm.PointSpring(c.V, NODE, 1.0 + HERE)),
+    *(
+        (name, mortar(call, name, other))
+        for call in (dm.segments, dm.assemble_mortar)
+        for name, other in (("slave", TOP), ("master", TOP), ("u", None), ("facet_tags", None))
+    ),
 ]
 
 
@@ -139,7 +183,7 @@ def test_constants_that_differ_at_a_step(case):
     body = dm.Solid(case.u, dm.Elastic(E, 0.3), eigenstrain=heat)
     potential = 0.5 * k * ufl.inner(case.u, case.u) * ufl.ds
     forms = {"loads": work(case, pull), "potential": potential}
-    whole = dm.ContactProblem(body, [side], bcs=case.bcs(), **forms)
+    whole = case.problem([side], law=body, **forms)
     for name, value in {
         "materials.E": E,
         "eigenstrain": heat,
@@ -175,8 +219,6 @@ def test_a_jump_that_has_been_set_anew(case):
     tie.jump = [0.0, 1e-3]
     first.value[0] = HERE
     assert dm.newton(tied).converged
-    tie.tightening = np.array([0.0, 1e-3 * HERE])
-    refused("interfaces[0].tightening", lambda: dm.newton(tied))
 
 
 def test_a_shape_that_is_another_on_one_rank(case):
@@ -187,9 +229,9 @@ def test_a_shape_that_is_another_on_one_rank(case):
         refused("interfaces[0].distances", lambda: dm.newton(tool))
 
 
-def test_arguments_of_pictures_and_writers(case, tmp_path):
+def test_arguments_of_pictures_and_writers(case, folder):
     """The name of a field decides what is gathered; ranks that resume read together."""
-    path, pressed = COMM.bcast(tmp_path) / "out.xdmf", case.problem()
+    path, pressed = folder / "out.xdmf", case.problem()
     dm.newton(pressed)
     if COMM.size > 1:
         name = "nothing" if HERE else "von_mises"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contact and ties of rings: Lame's shrink fit and tied tube, Hertz' ball."""
+"""Contact of rings: Lame's shrink fit, Hertz' ball."""
 
 from mpi4py import MPI
 
@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx import fem, mesh
-from tests.cases.meshes import BOTTOM
+from dolfinx import fem
 from tests.cases.rings import (
     SIDES,
-    Lame,
     ball_on_flat,
     held_axis,
     held_ends,
@@ -23,9 +20,10 @@ from tests.cases.rings import (
 )
 from tests.cases.two_bodies import create_problem, held
 from tests.choice import crosswise, quick
+from tests.tool_case import BASE, Box
 
 COMM = MPI.COMM_WORLD
-E, NU, P = 1000.0, 0.3, 10.0
+E, NU = 1000.0, 0.3
 
 
 # -- tubes -----------------------------------------------------------------------------------------
@@ -33,20 +31,14 @@ E, NU, P = 1000.0, 0.3, 10.0
 TUBE = (1.0, 1.5, 2.5)
 
 
-def fitted_tubes(
-    n, slave, *, overlap=1e-4, cell="quadrilateral", kind=dm.Contact, loads=None, **options
-):
-    """Return problem and interface of two tubes in plane strain, n cells across the inner one."""
-    cells = ((n + 1, n), (n + 3, 2 * n))
-    domain, _, tags = tubes(TUBE, cells, overlap=overlap, cell=cell, **options)
+def fitted_tubes(n, slave, overlap, cell):
+    """Return problem and contact of two tubes in plane strain, n cells across the inner one."""
+    domain, _, tags = tubes(TUBE, ((n + 1, n), (n + 3, 2 * n)), overlap=overlap, cell=cell)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     side, master = SIDES[slave]
-    interface, bcs = kind(tags, slave=side, master=master), held_ends(V, tags)
-    ds = ufl.Measure("ds", domain, subdomain_data=tags)
-    pushed = None if loads is None else loads * ufl.TestFunction(V)[0] * ds(BOTTOM)
-    own = {"kinematics": "axisymmetric", "loads": pushed}
-    problem = create_problem(V, [interface], bcs, dm.Elastic(E, NU), **own)
-    return problem, interface
+    contact, law = dm.Contact(tags, slave=side, master=master), dm.Elastic(E, NU)
+    own = {"kinematics": "axisymmetric"}
+    return create_problem(V, [contact], held_ends(V, tags), law, **own), contact
 
 
 @pytest.mark.mpi
@@ -56,7 +48,7 @@ def test_shrink_fit(slave, cell):
     overlap, errors = 1e-6, []  # small strain leaves out as much of the radius
     expected = shrink_fit_pressure(E, NU, TUBE, overlap)
     for n in (4, 8):
-        problem, contact = fitted_tubes(n, slave, cell=cell, overlap=overlap)
+        problem, contact = fitted_tubes(n, slave, overlap, cell)
         dm.newton(problem, rtol=1e-10)
         nodes = problem.system.link(contact).nodes
         assert largest(contact.pressure.x.array[nodes] / expected - 1) < 0.04 / n
@@ -65,24 +57,6 @@ def test_shrink_fit(slave, cell):
         assert abs(contact.force[0] + contact.master_force[0]) < 1e-9 * radial
         assert abs(contact.force[1]) < 1e-5 * radial  # its facets turn by as little
     assert errors[1] < 1e-3 and np.log2(errors[0] / errors[1]) > 1.85
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", SIDES)
-def test_a_tied_tube_is_lames(slave):
-    """Pressure inside two tied tubes: second order in u, and the pressure between them."""
-    lame, errors = Lame(E, NU, TUBE[0], TUBE[2], inside=P), []
-    for n in (3, 6, 12):
-        problem, tie = fitted_tubes(n, slave, overlap=0.0, kind=dm.Tie, loads=P)
-        dm.newton(problem, rtol=1e-11)
-        u, x = problem.u, ufl.SpatialCoordinate(problem.V.mesh)
-        square = (u[0] - lame.displacement(x[0])) ** 2 + u[1] ** 2
-        error = fem.assemble_scalar(fem.form(square * x[0] * ufl.dx))
-        errors.append(np.sqrt(COMM.allreduce(error)))
-    assert (np.log2(np.array(errors[:-1]) / errors[1:]) > 1.85).all(), errors
-    between = -(lame.mean - lame.swing / TUBE[1] ** 2)
-    pressure = tie.pressure.x.array[problem.system.link(tie).nodes]
-    assert largest(pressure / between - 1) < 0.01
 
 
 # -- a ball on a flat ------------------------------------------------------------------------------
@@ -181,19 +155,10 @@ def test_the_sphere_of_the_3d_benchmark(geometry, slave):
 def test_given_friction_is_per_present_area():
     """A washer that is upset to 0.7 of its height slides outwards, on a face that has grown."""
     s, low = 0.005, 0.7
-    domain = mesh.create_rectangle(COMM, [(0.5, 0.0), (1.0, 1.0)], (4, 8))
-    ends = [
-        mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 1)
-    ]
-    facets = np.concatenate(ends)
-    order = np.argsort(facets)
-    values = np.repeat(np.arange(2, dtype=np.int32), [len(end) for end in ends])
-    tags = mesh.meshtags(domain, 1, facets[order], values[order])
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), tresca=s)
-    own = {"kinematics": "axisymmetric", "strain": "finite"}
-    bcs, law = [held(V, tags, 0, 0.0, 1)], dm.NeoHooke(E=1.0, nu=0.3)
-    problem = create_problem(V, [tool], bcs, law, **own)
+    washer = Box("triangle", (4, 8), (0.5, 0.0), (1.0, 1.0))
+    tool = washer.tool(dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), tresca=s)
+    own = {"kinematics": "axisymmetric", "strain": "finite", "bcs": [washer.hold(BASE, 1)]}
+    problem = washer.problem([tool], dm.NeoHooke(E=1.0, nu=0.3), **own)
     ramp = {tool.position: [(0.0, (0.0, 1.0)), (1.0, (0.0, low))]}
     for _ in dm.load_steps(problem, [0.5, 1.0], ramp=ramp, rtol=1e-9, progress=False):
         now = tool.gather(problem.u)

@@ -16,32 +16,11 @@ from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.rings import SIDES, held_axis, largest
 from tests.cases.two_bodies import TwoBodies
 from tests.choice import crosswise
+from tests.test_patch import beyond
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 10.0
 EXACT = 1e-9
-
-
-def beyond(domain, lines, cut):
-    """Return a traction share over the facet that holds the cut, with the moments of r > cut."""
-    x = ufl.SpatialCoordinate(domain)[0]
-    k = int(np.searchsorted(lines, cut)) - 1
-    if k >= len(lines) - 1:
-        return None
-    a, b = lines[k : k + 2]
-    points, weights = np.polynomial.legendre.leggauss(4)
-
-    def shapes(r):
-        return np.stack([(b - r) / (b - a), (r - a) / (b - a)])
-
-    def integral(f, lo, hi):
-        r = (lo + hi) / 2 + (hi - lo) / 2 * points
-        return np.sum(f(r) * weights * r, axis=-1) * (hi - lo) / 2
-
-    mass = integral(lambda r: shapes(r)[:, None] * shapes(r)[None], a, b)
-    left, right = np.linalg.solve(mass, integral(shapes, cut, b))
-    inside = left + (right - left) * (x - a) / (b - a)
-    return ufl.conditional(x > b, 1.0, ufl.conditional(x > a, inside, 0.0))
 
 
 def solve_patch(
@@ -72,9 +51,9 @@ def solve_patch(
     loads = -P * v * ds(TOP)
     ends = ((TOP_OF_LOWER, lower, upper[-1], -P), (BOTTOM_OF_UPPER, upper, lower[-1], P))
     for tag, lines, cut, pressure in ends:
-        share = beyond(case.mesh, unit * np.asarray(lines), unit * cut)
-        if share is not None:
-            loads += pressure * share * v * ds(tag)
+        r = ufl.SpatialCoordinate(case.mesh)[0]
+        share = beyond(case.mesh, r, unit * cut, unit * np.asarray(lines), 1, weight=lambda r: r)
+        loads += pressure * share * v * ds(tag)
     bcs = [case.held(BOTTOM, P / E * unit, 1)]
     bcs += [held_axis(case.V)] if min(lower[0], upper[0]) == 0.0 else []
     interface = case.interface(kind, swap=slave == "upper")

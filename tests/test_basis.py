@@ -6,10 +6,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.interfaces.coupling import create_frames
+from dolfinx_mortar.interfaces.coupling import normal_frames
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
-from dolfinx_mortar.newton_method.linearisation import find_balance
 from tests.cases.block_piles import (
     ABOVE,
     BELOW,
@@ -42,7 +41,7 @@ def test_frames_are_orthonormal(d, rng):
     fixed[30:, 0] = d == 3
     normals[fixed] = 0.0
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    R, slot = create_frames(normals, fixed)
+    R, slot, _ = normal_frames(normals, np.ones(50, dtype=bool), fixed)
     assert np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(d)).max() < ROUND_OFF
     assert np.abs(R[:, :, 0] - normals).max() < ROUND_OFF
     assert np.array_equal(slot >= 0, fixed)
@@ -151,37 +150,6 @@ def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
     basis.apply(y, u)
     assert np.abs((basis.inverse(u) - y).array).max(initial=0.0) < ROUND_OFF
     assert np.abs((u - y - basis.change * y).array).max(initial=0.0) < ROUND_OFF
-
-
-@pytest.mark.mpi
-def test_rigid_motions_are_kept():
-    """A common translation of all bodies has no relative part: y = R^T u with w_n = 0."""
-    _, problem = chain()
-    problem.audit()
-    T, N = dense_transformation(problem), problem.V.dofmap.index_map.size_global
-    u = np.tile([0.3, -0.7], N)
-    y = np.linalg.solve(T, u)
-    own = find_balance(problem, problem.begin_step()).bounds.dofs
-    bounded = to_global(COMM, own + problem.first_dof)
-    assert len(bounded) > 0 and np.abs(y[bounded]).max() < ROUND_OFF
-
-
-@pytest.mark.mpi
-def test_relative_and_transpose_are_adjoint(rng):
-    """For all v and all slave forces f, f . R^T (v - Q v) = v . (I - Q)^T R f."""
-    _, problem = chain()
-    problem.audit()
-    layout = problem.V.dofmap.index_map
-    everywhere = rng.normal(size=(layout.size_global, 4))
-    mine = everywhere[slice(*layout.local_range)]
-    v = problem.K.createVecRight()
-    v.array[:] = mine[:, :2].ravel()
-    for i in problem.system.links:
-        f = mine[i.nodes, 2:]
-        left = np.sum(f * i.relative(v))
-        right = v.array_r @ sum(i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f))).ravel()
-        left, right = COMM.allreduce(np.array([left, right]))
-        assert left == pytest.approx(right, rel=ROUND_OFF)
 
 
 @pytest.mark.mpi

@@ -23,7 +23,9 @@ import pytest
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
-from dolfinx import fem, mesh
+from dolfinx import fem
+from tests.cases.solid import create_displacement, hold, plane, rectangle, rollers
+from tests.cases.two_bodies import create_problem
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
@@ -53,27 +55,14 @@ def exact_bending(c):
 
 def bent(volumetric="reduced", end=0.5, steps=5):
     """Bend half of a block; return moments over exact ones, error of u, iterations of each step."""
-    corners = [(0.0, 0.0, 0.0), (THICKNESS, HALF, WIDTH)]
-    domain = mesh.create_box(COMM, corners, (4, 8, 1), mesh.CellType.hexahedron)
-    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
-    u, exact = fem.Function(V), fem.Function(V)
-
-    def dofs(space, where):
-        return fem.locate_dofs_topological(
-            space, 2, mesh.locate_entities_boundary(domain, 2, where)
-        )
-
-    still, at_end = fem.Constant(domain, 0.0), dofs(V, lambda x: np.isclose(x[1], HALF))
-    bcs = [fem.dirichletbc(exact, at_end)]
-    for i, where in (
-        (1, lambda x: np.isclose(x[1], 0.0)),
-        (2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], WIDTH)),
-    ):
-        bcs.append(fem.dirichletbc(still, dofs(V.sub(i), where), V.sub(i)))
-    solid = dm.Solid(u, dm.NeoHooke(E, NU), strain="finite", volumetric=volumetric)
+    u = create_displacement(rectangle([(0.0, 0.0, 0.0), (THICKNESS, HALF, WIDTH)], (4, 8, 1)))
+    V, exact = u.function_space, fem.Function(u.function_space)
+    end_moves = hold(V, plane(1, HALF), value=exact)
+    bcs = [end_moves, hold(V, plane(1), 1), *rollers(V, [2], (0.0, WIDTH))]
     # by multigrid, where nothing locks
     options = None if volumetric == "reduced" else {"pc_type": "cholesky"}
-    problem = dm.ContactProblem(solid, bcs=bcs, petsc_options=options)
+    finite = {"strain": "finite", "volumetric": volumetric, "petsc_options": options}
+    problem = create_problem(u, (), bcs, dm.NeoHooke(E, NU), **finite)
 
     def displacement(x, r1, c):
         r, angle = np.sqrt(r1**2 + 2 * x[0] / c), c * x[1]
@@ -86,8 +75,9 @@ def bent(volumetric="reduced", end=0.5, steps=5):
         iterations.append(dm.newton(problem).newton_iterations)
         problem.commit()
         r = u.x.petsc_vec.duplicate()
-        solid.assemble_residual(r)
-        own = at_end[at_end < r.local_size // 3]
+        problem.solid.assemble_residual(r)
+        dofs, count = end_moves.dof_indices()
+        own = np.unique(dofs[:count] // 3)
         x, F = V.tabulate_dof_coordinates()[own], r.array.reshape(-1, 3)[own]
         x = x + u.x.array.reshape(-1, 3)[own] + [r1, 0.0, 0.0]
         middle, angle = np.sqrt(r1**2 + THICKNESS / c), c * HALF

@@ -50,12 +50,6 @@ def test_the_diagram_of_a_bolted_joint(slave):
 # -- runs that were stopped
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 def tightened(comm=COMM):
     """Return a joint with its pretension."""
     joint = Joint(comm=comm)

@@ -445,17 +445,3 @@ def test_points_without_a_partner(monkeypatch):
     monkeypatch.setattr(assembly, "find_segments", fold)
     with rejected("1 points of slave=3", "opposite on master=4", "at X + u; check mesh and u"):
         dm.segments(**given())
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("call", CALLS)
-@pytest.mark.parametrize("name", ["slave", "master", "u", "facet_tags"])
-def test_arguments_that_differ_between_the_ranks(call, name):
-    if COMM.size == 1:
-        return
-    arguments = given()
-    u = fem.Function(vectors(arguments["V"].mesh, 1))
-    if COMM.rank == COMM.size - 1:
-        arguments[name] = {"u": u, "facet_tags": None}.get(name, TOP)
-    with rejected(f"{name} differs between the ranks", "give all ranks the same"):
-        call(**arguments)

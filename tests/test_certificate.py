@@ -15,7 +15,7 @@ from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.report.certificate import create_certificate, set_results
+from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from tests.cases.ball import STEEL
 from tests.cases.close_fits import create_shrink_fit
 from tests.cases.hertz import ELASTIC, paper
@@ -50,7 +50,8 @@ def judge(problem, report, active, multipliers):
     _, balances = set_results(problem, balance, contacts)
     scales = Scales(problem.system.facet_length)
     residual = measure(problem.u, balance, contacts, lin.diagonal, scales, 1.0, 1e-6)
-    return create_certificate(problem, report, contacts, residual, balances)
+    end = StepEnd(problem, report, balance, contacts, residual, lin.diagonal.array_r)
+    return create_certificate(end, balances)
 
 
 @pytest.mark.mpi

@@ -16,12 +16,6 @@ from tests.checkpoint_runs import agree, numbers_at_once
 COMM = MPI.COMM_WORLD
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def at_once():
     """Return the numbers of all steps in one go."""

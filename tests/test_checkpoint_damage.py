@@ -93,7 +93,7 @@ def test_other_programs_read_it(good):
     assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
     first, second, rest = content.split(b"\n", 2)
     version = ".".join(dm.__version__.split(".")[:2])
-    assert first.decode() == f"dolfinx_mortar checkpoint, format 8, version {version}"
+    assert first.decode() == f"dolfinx_mortar checkpoint, format 9, version {version}"
     assert set(rest[:100]) == {0}
     told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
     assert second == b"sha256 of what follows: " + told.split()[0]
@@ -101,9 +101,9 @@ def test_other_programs_read_it(good):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("share", ["one rank", "all ranks"])
-def test_a_place_that_is_met_twice(tmp_path, share):
+def test_a_place_that_is_met_twice(folder, share):
     """Which row belongs to which node is unknown then; as of bodies that lie on each other."""
-    file, twice = COMM.bcast(tmp_path) / "x.h5", PLACES.copy()
+    file, twice = folder / "x.h5", PLACES.copy()
     twice[4] = twice[3]  # on another rank, if there are several
     x = ", ".join(f"{v:.6g}" for v in PLACES[3, :2])
     for own, there in ((PLACES, twice), (twice, twice), (twice, PLACES)):

@@ -33,12 +33,6 @@ def good(tmp_path_factory):
     return file
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def press():
     """Return a problem that takes over no checkpoint of this module."""
@@ -155,7 +149,7 @@ def with_tool(shape, **options):
     point = options.pop("point", [0.0, -10.0])
     base = dm.RigidSide(block.facets, tool_case.BASE, reference=point)
     tool = block.tool(shape, friction=0.3, **options)
-    return dm.ContactProblem(dm.Solid(block.u, tool_case.ELASTIC), [base, tool])
+    return block.problem([base, tool], bcs=())
 
 
 def disc(radius, at=8.0):

@@ -15,9 +15,9 @@ COMM = MPI.COMM_WORLD
 
 
 @pytest.fixture
-def file(tmp_path):
+def file(folder):
     """Return a file that all ranks see."""
-    return COMM.bcast(tmp_path) / "x.h5"
+    return folder / "x.h5"
 
 
 def share(array, rng):

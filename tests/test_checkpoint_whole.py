@@ -98,9 +98,9 @@ def test_an_interface_that_refuses_changes_nothing(made):
     assert state_of(problem) == before
 
 
-def test_what_no_restart_could_read_is_not_saved(tmp_path):
+def test_what_no_restart_could_read_is_not_saved(folder):
     """Of a term of one's own, which nobody else has looked at."""
-    problem, file = walked("tie", 0.01), COMM.bcast(tmp_path / "x.h5")
+    problem, file = walked("tie", 0.01), folder / "x.h5"
     kept = problem.state.states_of_terms["term 0 kept"]
     if COMM.rank == COMM.size - 1:
         kept.x.array[:] = np.inf

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, as_aij
-from dolfinx_mortar.algebra.csr import BlockMatrix, add_blocks, csr_of, set_csr
+from dolfinx_mortar.algebra.congruence import CongruentOperator, ProductOfBases, as_aij
+from dolfinx_mortar.algebra.csr import BlockMatrix, add_blocks
 from dolfinx_mortar.algebra.parallel import free_unused
 from tests.cases.meshes import two_blocks
 
@@ -57,7 +57,7 @@ def diagonal_by_hand(K, C):
     alone = as_aij(K).copy()
     alone.zeroEntries()
     alone.setDiagonal(K.getDiagonal())
-    return Congruence(alone, C).product.getDiagonal()
+    return ProductOfBases().fill([alone], [(C, C)]).getDiagonal()
 
 
 @pytest.mark.parametrize("coupled", [True, False])
@@ -152,18 +152,6 @@ def test_nothing_is_kept_alive(matrices):
     del operator
     free_unused(COMM)  # on several ranks PETSc waits until all have let go
     assert context() is None
-
-
-def test_a_refilled_product_has_the_bits_of_a_new_one(matrices, rng):
-    """T^T K T on one pattern, for other values of K and C."""
-    K, C = matrices
-    product = Congruence(K, C)
-    K.scale(rng.uniform(2.0, 3.0))
-    start, columns, values = csr_of(C)
-    set_csr(C, start, columns, values * rng.uniform(1.0, 2.0, len(values)))
-    product.update(K, C)
-    expected = csr_of(Congruence(K, C).product)
-    assert all(map(np.array_equal, csr_of(product.product), expected))
 
 
 @pytest.mark.skipif(COMM.size > 1, reason="of matrices on one rank")

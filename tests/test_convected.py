@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Steps in which a body slides over another one begin with the deformation moved along."""
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx_mortar.problem import predictors
 from tests.cases.finite_sliding import indentation, walk
 from tests.cases.meshes_3d import rotation
-from tests.cases.two_bodies import create_problem, held
-
-COMM = MPI.COMM_WORLD
-
+from tests.tool_case import BASE, Box
 
 PRESSED, DRAGGED = 3, 4
+DISC = dm.shapes.Cylinder((2.0, 1.0), 1.0)
 SIZES = {"radius": 1.0, "length": 6.0, "height": 2.0, "start": 2.0}
 
 
@@ -56,21 +52,9 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
 
 def ironed_by_tool(law, *, friction=0.0, way=0.6, turned=0.0, turning=0.0):
     """Drag a rigid cylinder over a turned block; return iterations and the force, turned back."""
-    square = mesh.create_rectangle(
-        COMM, [(0.0, -2.0), (6.0, 0.0)], [24, 5], mesh.CellType.quadrilateral
-    )
-    V = fem.functionspace(square, ("Lagrange", 1, (2,)))
-    sides = [
-        mesh.locate_entities_boundary(square, 1, lambda x, y=y: np.isclose(x[1], y))
-        for y in (-2.0, 0.0)
-    ]
-    facets = np.concatenate(sides)
-    values = np.repeat(np.arange(2, dtype=np.int32), [len(side) for side in sides])
-    order = np.argsort(facets)
-    tags = mesh.meshtags(square, 1, facets[order], values[order])
-    base, shape = fem.Function(V), dm.shapes.Cylinder((2.0, 1.0), 1.0)
-    tool = dm.Obstacle(tags, slave=1, shape=shape, friction=friction)
-    case = create_problem(V, [tool], [held(V, tags, 0, base)], law, strain="finite")
+    body = Box("quadrilateral", (24, 5), (0.0, -2.0), (6.0, 0.0))
+    base, tool = fem.Function(body.V), body.tool(DISC, friction=friction)
+    case = body.problem([tool], law, bcs=[body.hold(BASE, value=base)], strain="finite")
     start = tool.rigid.position.value.copy()
 
     def turn(t):

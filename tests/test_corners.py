@@ -15,6 +15,7 @@ from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER
 from tests.cases.meshes_3d import rotation
 from tests.cases.pressed_blocks import COMM, failing, rejected
+from tests.cases.solid import rectangle, tag_facets
 from tests.cases.two_bodies import SIDES, TwoBodies, create_problem, held
 
 pytestmark = pytest.mark.mpi
@@ -24,18 +25,13 @@ ELASTIC = dm.Elastic(100.0, 0.3)
 
 def wedge(tool=None):
     """Return a square that stands on its corner in a groove of two planes, or of one tool."""
-    domain = mesh.create_unit_square(COMM, 8, 8, mesh.CellType.quadrilateral)
+    domain = rectangle([(0.0, 0.0), (1.0, 1.0)], (8, 8))
     x, c = domain.geometry.x, np.sqrt(0.5)
     x[:, :2] = c * np.stack([x[:, 0] - x[:, 1], x[:, 0] + x[:, 1]], axis=1)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    found = [
-        mesh.locate_entities_boundary(domain, 1, lambda x, s=s: np.isclose(x[1], s * x[0]))
-        for s in (1, -1)
-    ]
-    facets, second = np.concatenate(found), 2 if tool is None else 1
-    values = np.repeat(np.array([1, second], dtype=np.int32), [len(part) for part in found])
-    order = np.argsort(facets)
-    tags = mesh.meshtags(domain, 1, facets[order], values[order])
+    sides = [lambda x: np.isclose(x[1], x[0]), lambda x: np.isclose(x[1], -x[0])]
+    both = [lambda x: np.isclose(x[1], abs(x[0]))]
+    tags = tag_facets(domain, *(sides if tool is None else both))
     planes = [dm.shapes.Plane((0.0, 0.0), (-s * c, c)) for s in (1, -1)]
     shapes = planes if tool is None else [tool(*planes)]
     tools = [dm.Obstacle(tags, slave=k, shape=shape) for k, shape in enumerate(shapes, start=1)]
@@ -248,15 +244,12 @@ def test_a_cantilever_slides_down_another_one(top, slave):
         "low": lambda x: np.isclose(x[1], 31.75),
         "up": lambda x: np.isclose(x[1], 476.25) | end(x) | (top & np.isclose(x[1], 539.75)),
     }
-    found = [mesh.locate_entities_boundary(domain, 1, on) for on in where.values()]
-    values = np.repeat(np.arange(4, dtype=np.int32), [len(f) for f in found])
-    facets, first = np.unique(np.concatenate(found), return_index=True)
-    names = {name: k for k, name in enumerate(where)}
-    tags = dm.Tags(mesh.meshtags(domain, 1, facets, values[first]), names)
+    names = {name: k for k, name in enumerate(where, 1)}
+    tags = dm.Tags(tag_facets(domain, *where.values()), names)
     V, push = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, 0.0)
     place = lambda x: np.isclose(x[0], 1625.6) & np.isclose(x[1], 539.75)  # noqa: E731
     at = fem.locate_dofs_geometrical((V.sub(1), V.sub(1).collapse()[0]), place)[0]
-    bcs = [held(V, tags, 0), held(V, tags, 1), fem.dirichletbc(push, at, V.sub(1))]
+    bcs = [held(V, tags, 1), held(V, tags, 2), fem.dirichletbc(push, at, V.sub(1))]
     contact = dm.Contact(tags, slave=slave, master="low" if slave == "up" else "up")
     law = dm.NeoHooke(6894.8, 0.3333)
     problem = create_problem(V, [contact], bcs, law, strain="finite", energies=True)

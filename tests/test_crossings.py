@@ -11,10 +11,10 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
 from dolfinx_mortar.geometry.flat import near_pairs
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
-from tests.cases.block_piles import ABOVE, BELOW, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, Blocks
 from tests.cases.box_piles import THREE, create_boxes
 from tests.cases.meshes import skins
-from tests.cases.two_bodies import TwoBodies, create_problem
+from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 COMM = MPI.COMM_WORLD
 
@@ -145,11 +145,9 @@ def test_edges_that_touch_a_flank_do_not_cross_it(cells):
 @pytest.mark.mpi
 def test_a_jump_excuses_the_sides_of_its_tie_only():
     boxes = [(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2), (3, 4, 0, 1, 2, 2), (3, 4, 0.8, 1.8, 3, 2)]
-    domain, cells, tags = create_blocks(COMM, boxes)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    held = np.concatenate([cells.find(k) for k in (1, 3, 4)])
-    bc = fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 2, held), V)
-    tie = dm.Tie(tags, slave=20 + BELOW, master=10 + ABOVE, jump=(0.0, -0.5))
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.0)), [tie], bcs=[bc])
+    b = Blocks(boxes)
+    tie = b.join(dm.Tie, (2, BELOW), (1, ABOVE))
+    tie.jump = 0.0, -0.5
+    problem = b.problem([tie], [held(b.V, b.cells, k) for k in (1, 3, 4)], dm.Elastic(1.0, 0.0))
     dm.newton(problem)
     assert find_crossing(problem).depth == pytest.approx(0.2)

@@ -12,8 +12,9 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.problem import predictors
 from dolfinx_mortar.steps import newton
-from tests.cases.meshes import two_blocks
+from tests.cases.meshes import BOTTOM, LEFT
 from tests.cases.pressed_blocks import rejected
+from tests.cases.two_bodies import TwoBodies
 from tests.tool_case import BASE, DEPTH, DISC, STEEL, TOP, Block, Box, R
 
 COMM = MPI.COMM_WORLD
@@ -184,14 +185,11 @@ def pressed_stack(load, law=RUBBER):
         x, y = points.T
         return np.column_stack([x * (1 + 0.04 * np.sin(3 * y) * y * (1 - abs(y))), y])
 
-    domain, _, tags = two_blocks(COMM, (4, 3), (4, 3), cell="quadrilateral", transform=bulge)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    sides = [fem.locate_dofs_topological(V.sub(k), 1, tags.find(t)) for k, t in enumerate((5, 1))]
-    bcs = [fem.dirichletbc(0.0, dofs, V.sub(k)) for k, dofs in enumerate(sides)]
-    tool = dm.Obstacle(tags, slave=2, shape=dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), load=load)
-    contact = dm.Contact(tags, slave=4, master=3)
-    solid = dm.Solid(fem.Function(V), law, strain="finite")
-    return tool, dm.ContactProblem(solid, [tool, contact], bcs=bcs)
+    case = TwoBodies("quadrilateral", n_lower=(4, 3), n_upper=(4, 3), transform=bulge)
+    bcs, shape = [case.held(LEFT, 0.0, 0), case.held(BOTTOM, 0.0, 1)], dm.shapes.Plane
+    tool = dm.Obstacle(case.facets, slave=2, shape=shape((0.0, 1.0), (0.0, -1.0)), load=load)
+    interfaces = [tool, case.interface(swap=True)]
+    return tool, case.problem(interfaces, bcs, law, strain="finite")
 
 
 def test_a_stack_pressed_by_a_force_at_finite_strain():
@@ -242,7 +240,7 @@ def test_supports_lead_what_goes_on():
     bar = Box("quadrilateral", (6, 2), high=(3.0, 1.0), axis=0)
     pull = fem.Constant(bar.mesh, np.zeros(2, dtype=default_real_type))
     bcs = [bar.hold(BASE), bar.hold(TOP, value=pull)]
-    problem = dm.ContactProblem(dm.Solid(bar.u, METAL, strain="finite"), bcs=bcs)
+    problem = bar.problem((), METAL, bcs=bcs, strain="finite")
     ramp = {pull: [(0.0, (0.0, 0.0)), (1.0, (0.6, 0.3))]}
     walk = dm.load_steps(problem, [0.1, 0.2, 0.3], ramp=ramp, progress=False)
     next(walk), next(walk)

@@ -3,15 +3,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
-from dolfinx_mortar.geometry.facets import Facets, tributary_weights
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, create_duals
 from dolfinx_mortar.mortar.integrals import covered_weights
 from tests.cases.polylines import assemble
-from tests.test_segments import flat, split
+from tests.test_segments import flat
 
 EXACT = 1e-12
 
@@ -21,17 +18,6 @@ def test_half_covered_facet():
     o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
     assert np.abs(o.D - np.diag([0.75, 0.25])).max() < 1e-15
     assert np.abs(o.M - np.array([[9, 9], [9, -3]]) / 24).max() < 1e-15
-
-
-def test_fully_covered_facet_has_the_closed_form():
-    xi = np.array([-0.9, -0.1, 0.4, 0.8])
-    points, weights = np.polynomial.legendre.leggauss(4)
-    N = np.stack([1 - points, 1 + points], axis=1) / 2
-    keep = np.ones((1, 2), dtype=bool)
-    Phi = create_duals(N, weights, np.zeros(4, dtype=np.int32), keep).Phi
-    line = np.polynomial.polynomial.polyfit(points, Phi, 1)
-    assert line == pytest.approx(np.array([[0.5, 0.5], [-1.5, 1.5]]), abs=1e-14)
-    assert np.abs(np.polynomial.polynomial.polyval(xi, line).sum(axis=0) - 1).max() < 1e-14
 
 
 def gauss(a, b, k):
@@ -63,24 +49,6 @@ def test_biorthogonal_where_little_is_covered(k, t, end):
     if k == 2:
         assert largest < 4
         assert (error / np.sqrt(np.outer(D, D))).max() < EXACT
-
-
-@settings(deadline=None)
-@given(split(0, 1), split(-0.31, 0.73), st.floats(-1, 1), st.floats(0, 7))
-def test_identities_of_random_splits(slave, master, shift, angle):
-    """D is diagonal, rows of D - M vanish, linear fields are reproduced along the interface."""
-    o = assemble(flat(slave, 0, angle), flat(master + shift, 0, angle, up=True))
-    D = np.diag(o.D)
-    touched = D > 0
-    assert (D >= 0).all()
-    assert np.abs(o.D - np.diag(D)).max() < EXACT
-    assert np.abs(o.D.sum(axis=1) - o.M.sum(axis=1)).max() < EXACT
-    assert np.abs(o.M @ o.x_m - o.D @ o.x_s).max() < EXACT
-    kept = o.coverage > 0.05
-    assert (kept <= touched).all()
-    P = o.M[kept] / D[kept, None]
-    assert np.abs(P.sum(axis=1) - 1).max(initial=0) < 1e-11
-    assert np.abs(P @ o.x_m - o.x_s[kept]).max(initial=0) < 1e-10  # slave facets of 1e-3
 
 
 @pytest.mark.parametrize("removed", [0, 1, 2, 5])
@@ -158,12 +126,3 @@ def test_six_and_nine_nodes_are_biorthogonal(element, removed):
     assert np.abs(D - expected)[np.ix_(k, k)].max() < 1e-14
     assert (np.diag(D)[k] > 0.01).all() and np.abs(D[~k]).max(initial=0.0) == 0.0
     assert np.abs(Phi.sum(axis=1) - 1).max() < 1e-12
-
-
-def test_coordinates_are_in_the_space_of_nine_node_facets():
-    """Weighted means of x over each N_j are the nodes: linears are multipliers."""
-    points, weight = QUAD9.rule
-    N = QUAD9.shape_functions(points)
-    means = (weight[:, None] * N).T @ points / (weight @ N)[:, None]
-    assert means == pytest.approx(QUAD9.points, abs=1e-14)
-    assert tributary_weights(Facets(QUAD9, np.pad(QUAD9.points, ((0, 0), (0, 1)))[None])).min() > 0

@@ -143,9 +143,8 @@ def test_a_body_of_one_layer_keeps_its_mass(monkeypatch):
 
 
 @pytest.mark.parametrize("options", quick([{}, DAMPED], DAMPED))
-def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
+def test_a_checkpoint_holds_the_motion(folder, options):
     """A run that stops while the bodies touch goes on with the same numbers."""
-    folder = COMM.bcast(tmp_path_factory.mktemp("motion") if COMM.rank == 0 else None)
     times = 0.01 * np.arange(1, 11)
     found = []
     for stops in ((10,), (5, 10)):
@@ -161,9 +160,8 @@ def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 
-def test_a_restored_motion_goes_on(tmp_path_factory):
+def test_a_restored_motion_goes_on(folder):
     """With all times those are left out that have been made; the numbers of steps go on."""
-    folder = COMM.bcast(tmp_path_factory.mktemp("restored") if COMM.rank == 0 else None)
     times, file = 0.01 * np.arange(1, 5), folder / "half.h5"
     case, rest = (Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)}) for _ in range(2))
     walk(case.problem, times[:2])
@@ -176,9 +174,8 @@ def test_a_restored_motion_goes_on(tmp_path_factory):
         next(dm.time_steps(rest.problem, [0.02, 0.05]))
 
 
-def test_a_checkpoint_knows_the_mass_and_the_scheme(tmp_path_factory):
+def test_a_checkpoint_knows_the_mass_and_the_scheme(folder):
     """What would change the answer in silence is refused, with both."""
-    folder = COMM.bcast(tmp_path_factory.mktemp("schemes") if COMM.rank == 0 else None)
     times, moving = [0.01, 0.02], {"velocity": {UPPER: (0.0, -1.0)}}
     file, case = folder / "half.h5", Blocks(damping=1e-3, **moving)
     walk(case.problem, times[:1], checkpoint=file, **DAMPED)
@@ -492,9 +489,9 @@ def test_a_bar_that_is_heated_at_once():
     assert not any("of the energy" in note for note in bar.problem.history[-1].report.notes)
 
 
-def test_the_ledger_of_a_bar_that_is_heated_and_softens_goes_on_after_a_restart(tmp_path):
+def test_the_ledger_of_a_bar_that_is_heated_and_softens_goes_on_after_a_restart(folder):
     times = PERIOD * np.arange(1, 21) / 40
-    file = COMM.bcast(tmp_path / "heated.h5")
+    file = folder / "heated.h5"
 
     def ramp(bar):
         soft = [(0.0, E), (PERIOD, E / 2)]

@@ -10,8 +10,6 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.facets import unit
-from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_overlaps
 from tests.cases.ball import create_problem
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP
@@ -44,23 +42,6 @@ def test_forces_of_crossing_edges_are_normal_to_both(slave):
     *across, along = contact.force
     assert abs(along) > 1.0
     assert np.hypot(*across) < 0.01 * abs(along)
-
-
-def test_the_normal_is_that_of_a_face_and_normal_to_crossing_edges():
-    """Of edges that are parallel to the face, whatever their own normals are."""
-    face, *tangents, first, second = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 1, 3))
-    face = unit(face)
-    t_s, t_m = (unit(np.cross(face, t)) for t in tangents)
-    blur = 1e-9 * np.eye(3)[None]
-    normals = [unit(face + 0.5 * np.cross(t, v)) for t, v in ((t_s, first), (t_m, second))]
-    across = (np.cross(t, n) for t, n in zip((t_s, t_m), normals, strict=True))
-    edges = [0.3 * v[:, :, None] * v[:, None] + blur for v in across]
-    for parts in (
-        (face, normals[1], blur, edges[1]),
-        (normals[0], face, edges[0], blur),
-        (*normals, *edges),
-    ):
-        assert np.allclose(unit(_mean(*parts)), face, atol=1e-7)
 
 
 @pytest.mark.parametrize("slave", ["ball", "block"])

@@ -15,17 +15,11 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     normals_at_nodes,
     points_of,
-    scaled_normals,
     tributary_weights,
 )
 from dolfinx_mortar.geometry.plane import (
     coefficients,
-    count,
-    create_planes,
-    first_order,
     meet,
-    on_facets,
-    parts_of,
 )
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
@@ -57,7 +51,7 @@ def test_functions_are_nodal_in_dolfinx_order(element):
     assert np.abs(element.shape_functions(x) - np.eye(element.nodes)).max() < 1e-15
     v = list(element.vertices)
     assert v == list(range(len(v)))
-    assert np.abs(element.vertex_functions(x[v]) - np.eye(len(v))).max() < 1e-15
+    assert np.abs(element.first.shape_functions(x[v]) - np.eye(len(v))).max() < 1e-15
 
 
 @ELEMENTS
@@ -66,7 +60,7 @@ def test_derivatives(element):
     xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
     for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
         up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
-        assert np.abs(element.derivatives(xi)[:, :, a] - (up - down)).max() < 1e-15
+        assert np.abs(element.functions(xi)[1][:, a] - (up - down)).max() < 1e-15
 
 
 @ELEMENTS
@@ -134,44 +128,6 @@ def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
         assert (expected.name, degree) == (facet.cell, facet.degree)
 
 
-@parametrize([TRI3, QUAD4, TRI6, QUAD9])
-def test_parts_tile_their_facet(element):
-    """On straight facets a point of a part is that point of the facet; areas add up."""
-    rng = np.random.default_rng(7)
-    corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
-    x = element.vertex_functions(element.points) @ corners
-    facets, parts = Facets(element, x), parts_of(Facets(element, x))
-    s = count(element)
-    assert len(parts.x) == s * len(x) and parts.element.degree == 1
-    part = np.arange(3 * s, dtype=np.int32)
-    xi = rng.uniform(0.0, 0.5, (3 * s, 2))
-    of, both = {"xi_s": xi, "xi_m": xi, "weight": np.ones(3 * s)}, np.stack([part, part], axis=1)
-    on, back, weight = on_facets(facets, facets, create_planes(parts.x)[1], both, **of)
-    assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
-    each = (scaled_normals(parts[part[[i]]], xi[[i]]) for i in range(3 * s))
-    jacobians = np.linalg.norm(np.concatenate(list(each))[:, 0], axis=1) / parts.element.size
-    assert np.abs(back - on).max() < 1e-13 and np.abs(weight / jacobians - 1).max() < 1e-12
-    areas = tributary_weights(parts).sum(axis=1).reshape(3, s).sum(axis=1)
-    smooth = 1e-2 if element.bilinear else 1e-14  # the area of warped ones is no polynomial
-    assert tributary_weights(facets).sum(axis=1) == pytest.approx(areas, rel=smooth)
-
-
-@parametrize([TRI6, QUAD9])
-def test_straight_facets_need_no_parts(element):
-    rng = np.random.default_rng(9)
-    corners = rng.uniform(-1, 1, (2, len(element.vertices), 3))
-    if element.bilinear:
-        corners[:, 3] = corners[:, :3].mean(axis=1)  # planes
-    x = element.vertex_functions(element.points) @ corners
-    simple = first_order(Facets(element, x))
-    assert simple is not None and simple.element.degree == 1 and (simple.x == corners).all()
-    for which, by in ((-1, 1e-9), (0, 1e-9 * element.bilinear)):  # a middle, a corner
-        bent = x.copy()
-        bent[1, which] += by * facet_normals(simple)[1]
-        assert by == 0 or first_order(Facets(element, bent)) is None
-    assert first_order(simple) is simple
-
-
 @parametrize([TRI6, QUAD9])
 def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
     """To round-off from a tenth away, also where facets turn by 90 degrees; else NaN."""
@@ -183,7 +139,7 @@ def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
         for a, point, way in zip(at + 0.1, x, n, strict=True):
             tangents = np.linalg.svd(way[None])[2][1:]
             P = (tangents @ coefficients(facets)[0])[None]
-            yield parts_module.meet(P, *(tangents @ point), *a)
+            yield parts_module.meet(P, (tangents @ point)[None], a[None])[0]
 
     for bend in (1.0, 10.0):
         height = bend * (0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The exact tangent of moving geometry in 2D: its rate, and when it is used."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -78,23 +76,3 @@ def test_newton_is_quadratic_with_friction(to):
     r = r[r < 0.03]
     assert len(r) >= 3
     assert (r[1:] < np.maximum(2.0 * r[:-1] ** 2, 1e-12)).all()  # .13 to 1.02 times the square
-
-
-@pytest.mark.parametrize("first", [False, True])
-@pytest.mark.parametrize("finite", [False, True])
-@pytest.mark.parametrize("slow", [False, True])
-@pytest.mark.parametrize("before", [False, True])
-def test_where_the_exact_tangent_serves(finite, slow, before, first):
-    """From the second iteration on at finite strain, else where the fixed point is slow."""
-    qps = SimpleNamespace(finite=finite, may_be_exact=True)
-    report = SimpleNamespace(iterations=[SimpleNamespace(exact_tangent=before)])
-    step = SimpleNamespace(qps=qps, report=report, missed=lambda residual: residual)
-    old, residuals = SimpleNamespace(slow=slow, barred=0.5, shift=0.0), [] if first else [0.4]
-    is_exact = newton_module._Step.is_exact
-    assert is_exact(step, old, residuals) == (not first and (finite or slow or before))
-    old.barred = 0.4
-    assert not is_exact(step, old, residuals)
-    old.barred, old.shift = 0.5, 0.1
-    assert not is_exact(step, old, residuals)
-    old.shift, qps.may_be_exact = 0.0, False
-    assert not is_exact(step, old, residuals)

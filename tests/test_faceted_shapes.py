@@ -251,9 +251,9 @@ def test_what_is_no_file(tmp_path, content, words):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("lacking", ["one", "all"])
-def test_a_file_that_ranks_lack(tmp_path, lacking):
+def test_a_file_that_ranks_lack(folder, lacking):
     """No rank leaves the others when it reads; all raise when a problem is made."""
-    file = COMM.bcast(tmp_path) / "box.stl"
+    file = folder / "box.stl"
     if COMM.rank == 0 and lacking == "one":
         write_binary(file, *box())
     COMM.barrier()

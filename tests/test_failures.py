@@ -11,7 +11,6 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import step_end
 from dolfinx_mortar.steps import walk as stepping
 from tests.cases.meshes import BOTTOM, TOP
@@ -40,16 +39,6 @@ def test_floating_bodies_with_contact(case, supports, words):
     """A contact holds neither of the two against sliding."""
     with rejected("bcs", "nothing holds", *words, "Prescribe"):
         dm.newton(case.problem(bcs=[case.bc(tag) for tag in supports]))
-
-
-def test_body_that_may_turn(case):
-    """One node held, and no interface: only the rotation is free."""
-    corner = fem.locate_dofs_geometrical(
-        case.V, lambda x: np.isclose(x[0], 0) & np.isclose(x[1], 1.0)
-    )
-    pin = fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), corner, case.V)
-    with rejected("nothing holds", "rotation about z"):
-        dm.newton(case.problem([], bcs=[case.bc(BOTTOM), pin]))
 
 
 @pytest.mark.mpi

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.interfaces import mortar_interface
+from dolfinx_mortar.interfaces import contact as interface
 from tests.cases.finite_sliding import COMM, averaged, indentation, turning_hub, walk
 from tests.cases.hertz import create_case
 
@@ -34,12 +34,12 @@ def test_half_ring_pressed_to_a_strain_of_20_percent(
 ):
     """Force to 2e-6 of the independent program, in four steps of five iterations."""
     sizes = {"radius": 1.0, "length": 6.0, "height": 2.0}
-    both = mortar_interface.common_normals
+    both = interface.common_normals
     for error, normals in (
         (0.2 * abs(force - swapped), both),
         (2e-6 * force + 5e-7, averaged),
     ):
-        monkeypatch.setattr(mortar_interface, "common_normals", normals)
+        monkeypatch.setattr(interface, "common_normals", normals)
         case = indentation(n=((24, 5), (16, 2)), moduli=(1.0, modulus), slave=slave, **sizes)
         steps = walk(case, lambda t: (0.0, -0.4 * t), np.arange(1, 5) / 4, rtol=1e-10)
         assert abs(np.abs(steps[-1][1][1]) - force) < error
@@ -99,7 +99,7 @@ def test_shallow_ironing(friction):
 )
 def test_ironing_ends_with_the_forces_of_the_independent_program(slave, force, monkeypatch):
     """To 2e-6, with its normals; that one takes 149 and 161 iterations."""
-    monkeypatch.setattr(mortar_interface, "common_normals", averaged)
+    monkeypatch.setattr(interface, "common_normals", averaged)
     steps = ironed(20, slave=slave, friction=0.0)
     assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
 

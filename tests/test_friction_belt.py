@@ -8,6 +8,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from tests.cases.finite_sliding import Bodies, grid
+from tests.cases.two_bodies import create_problem, held
 from tests.choice import quick
 
 RADIUS, THICK, TAIL = 10.0, 0.1, 4.0
@@ -56,24 +57,21 @@ def test_a_belt_on_a_drum(mu, pull, slave):
     made = Bodies.of(bodies(), side)
     domain, cells, facets = made.mesh, made.cells, made.facets
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    u, v = fem.Function(V), ufl.TestFunction(V)
     traction = fem.Constant(domain, np.zeros(2))
     ds = ufl.Measure("ds", domain, subdomain_data=facets)
     master = BELT_SIDE + DRUM_SIDE - slave
     contact = dm.Contact(facets, slave=slave, master=master, friction=mu)
-    dofs = fem.locate_dofs_topological(V.sub(0), 1, facets.find(ENDS))
-    shaft = fem.locate_dofs_topological(V, 1, facets.find(SHAFT))
-    bcs = [fem.dirichletbc(0.0, dofs, V.sub(0)), fem.dirichletbc(np.zeros(2), shaft, V)]
-    solid = dm.Solid(u, {1: dm.Elastic(20e3, 0.0), 2: dm.Elastic(200e3, 0.3)}, cells)
-    loads = ufl.inner(traction, v) * ds(ENDS)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads)
+    bcs = [held(V, facets, ENDS, 0.0, 0), held(V, facets, SHAFT)]
+    laws = {1: dm.Elastic(20e3, 0.0), 2: dm.Elastic(200e3, 0.3)}
+    loads = ufl.inner(traction, ufl.TestFunction(V)) * ds(ENDS)
+    problem = create_problem(V, [contact], bcs, laws, cells, loads=loads)
 
     def on_time(time):
         traction.value[1] = -time * pull / THICK
 
     for step in dm.load_steps(problem, [0.5, 1.0], on_time=on_time, progress=False):
         assert len(step.parts) == 1
-    nodes = contact.gather(u)
+    nodes = contact.gather(problem.u)
     x, y = nodes["X"].T[:2]
     sign = 1.0 if slave == BELT_SIDE else -1.0
     assert sign * contact.force == pytest.approx([0.0, 2 * pull], abs=2e-3 * pull)

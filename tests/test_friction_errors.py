@@ -150,16 +150,3 @@ def test_results_of_friction_before_a_step(case):
         fresh.contact.gather(fresh.problem.u)
     with pytest.raises(AttributeError, match="friction="):
         case.contact.status  # noqa: B018
-
-
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="needs two ranks")
-def test_a_constant_that_differs_between_the_ranks(case):
-    value = fem.Constant(case.problem.V.mesh, 0.3)
-    case = case.again(friction=value)
-    value.value = 0.3 + 0.1 * COMM.rank
-    case.push(0.0, -0.01)
-    with rejected("friction differs between the ranks", "0.3 on rank 0", "0.4 on rank 1"):
-        dm.newton(case.problem)
-    value.value = 0.3
-    assert dm.newton(case.problem).converged

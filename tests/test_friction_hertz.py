@@ -8,9 +8,10 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.interfaces import mortar_interface
+from dolfinx_mortar.interfaces import contact as interface
 from tests.cases.finite_sliding import averaged
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
+from tests.cases.two_bodies import create_problem, held
 
 MU, DEPTH = 0.2, 0.05
 # Another active-set code with the same D and M: sideways -> tangential force [N/mm], the largest
@@ -45,7 +46,7 @@ def coarse(geometry, slave):
 @pytest.mark.slow
 def test_the_forces_of_another_code(monkeypatch):
     """Tangential forces to all digits that are known, the stick zone to the node, up to sliding."""
-    monkeypatch.setattr(mortar_interface, "common_normals", averaged)
+    monkeypatch.setattr(interface, "common_normals", averaged)
     pushes = [*SIDEWAYS, SLIDING[0]]
     levels = [(DEPTH, 0.0), *((DEPTH, s) for s in pushes)]
     cases = pushed("graded", 0.05, levels, geometry="reference", surface="facets")
@@ -98,18 +99,12 @@ def pushed_ball(h, slave, pushes):
         MPI.COMM_WORLD, h=h, radius=RADIUS, block=(60.0, 60.0, 30.0), core=1.0, half=True
     )
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    solid = dm.Solid(fem.Function(V), ELASTIC)
     flat, friction = fem.Constant(mesh, np.zeros(3)), fem.Constant(mesh, 0.0)
-    bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(W, 2, tags.find(side)), W)
-        for side, value, W in (
-            *(("bottom", np.zeros(3), V), ("flat", flat, V)),
-            ("symmetry_y", 0.0, V.sub(1)),
-        )
-    ]
+    bcs = [held(V, tags, "bottom"), held(V, tags, "flat", flat)]
+    bcs.append(held(V, tags, "symmetry_y", 0.0, 1))
     side, master = SIDES[slave]
     contact = dm.Contact(tags, slave=side, master=master, friction=friction)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
+    problem = create_problem(V, [contact], bcs, ELASTIC, geometry="reference")
     sign, path = (1.0 if slave == "block" else -1.0), []
     for k, push in enumerate([0.0, *pushes]):
         flat.value[:], friction.value = (push, 0.0, -PRESS), MU if k else 0.0
@@ -126,7 +121,7 @@ def pushed_ball(h, slave, pushes):
         forces = tuple(np.clip(path, -abs(path[0]), abs(path[0])).tolist())
         state = dm.analytic.mindlin_point(hertz, MU, NU, forces)
         own = {"push": push, "state": state, "energy": 2.0 * contact.dissipation}
-        yield measure(contact.gather(solid.u), sign, state, h) | own
+        yield measure(contact.gather(problem.u), sign, state, h) | own
 
 
 def measure(nodes, sign, state, h):

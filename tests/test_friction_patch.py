@@ -11,6 +11,7 @@ from tests.cases import meshes
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 from tests.cases.friction import ELASTIC, create, largest
 from tests.cases.pressed_blocks import failing
+from tests.cases.two_bodies import create_problem, held
 
 EXACT = 1e-10
 MU, P = 0.3, 2.0
@@ -22,11 +23,9 @@ ALIKE = {  # blocks that are as wide as each other
 
 def loaded(case, loads, bottom):
     """Return the problem of blocks of which the upper one is held by contact alone."""
-    old, d = case.problem, case.problem.d
-    dofs = fem.locate_dofs_topological(old.V, d - 1, case.contact.facet_tags.find(meshes.BOTTOM))
-    solid = dm.Solid(fem.Function(old.V), ELASTIC, case.cells)
-    bcs = [fem.dirichletbc(bottom, dofs)]
-    return dm.ContactProblem(solid, [case.contact], bcs=bcs, loads=loads, geometry=old.geometry)
+    V, bcs = case.problem.V, [held(case.problem.V, case.contact.facet_tags, meshes.BOTTOM, bottom)]
+    own = {"loads": loads, "geometry": case.problem.geometry}
+    return create_problem(V, [case.contact], bcs, ELASTIC, **own)
 
 
 class Patch:
@@ -143,8 +142,8 @@ def test_blocks_that_meet_in_a_corner_shrink_without_slip():
     whole = fem.Function(pile.V)
     whole.interpolate(lambda x: shrink * x[:2])
     rim = fem.locate_dofs_geometrical(pile.V, lambda x: np.isclose(abs(x[:2] - 1), 1).any(axis=0))
-    solid = dm.Solid(pile.u, dm.NeoHooke(E=1000.0, nu=0.3), strain="finite")
-    dm.newton(dm.ContactProblem(solid, rough, bcs=[fem.dirichletbc(whole, rim)]), rtol=1e-11)
+    bcs, law = [fem.dirichletbc(whole, rim)], dm.NeoHooke(E=1000.0, nu=0.3)
+    dm.newton(pile.problem(rough, bcs, law, strain="finite"), rtol=1e-11)
     mu, lame, stretch = 1000.0 / 2.6, 300.0 / (1.3 * 0.4), 1.0 + shrink
     pressure = -(mu * (stretch**2 - 1.0) + 2.0 * lame * np.log(stretch)) / stretch**2
     assert largest(pile.u.x.array - whole.x.array) < EXACT

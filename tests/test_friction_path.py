@@ -127,11 +127,6 @@ def agree(found, expected):
         assert np.abs(found[name] - values).max() <= SAME * scale, name
 
 
-@pytest.fixture
-def folder(tmp_path):
-    return COMM.bcast(tmp_path)
-
-
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(
     ("cell", "geometry"), [("triangle", "reference"), ("hexahedron", "updated")]

@@ -16,6 +16,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from tests.cases.hertz import ELASTIC, SIDES, create_mesh
+from tests.cases.two_bodies import create_problem, held
 
 RADIUS, DEPTH, MU = 20.0, 0.04, 0.8
 SIZE = 0.12  # mm, of elements: five on a half-width
@@ -25,17 +26,13 @@ SHARE, STEADY = 0.5, 0.75  # xi R / (mu a), and Q / (mu P) that belongs to it
 
 def rolled(slave, way, shift):
     """Press, push the hub by ``shift``, roll by four half-widths; return Q / (mu P) of steps."""
-    mesh, cells, facets = create_mesh("graded", SIZE, radius=RADIUS, block=(40.0, 20.0))
+    mesh, _, facets = create_mesh("graded", SIZE, radius=RADIUS, block=(40.0, 20.0))
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     ground, hub = fem.Function(V), fem.Function(V)
-    bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, facets.find(side)))
-        for value, side in ((ground, "bottom"), (hub, "flat"))
-    ]
+    bcs = [held(V, facets, side, value) for value, side in ((ground, "bottom"), (hub, "flat"))]
     sides = dict(zip(("slave", "master"), SIDES[slave], strict=True))
     contact = dm.Contact(facets, **sides, friction=MU)
-    solid = dm.Solid(fem.Function(V, name="u"), ELASTIC, cells)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
+    problem = create_problem(V, [contact], bcs, ELASTIC)
 
     def step(angle, late):
         along = RADIUS * np.arcsinh(angle) - way * late

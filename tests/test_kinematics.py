@@ -12,7 +12,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
-from dolfinx_mortar.supports.bodies import find_bodies, free_motions, rigid_motions
+from dolfinx_mortar.supports.bodies import find_bodies, find_free, rigid_motions
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import PressedBlocks, rejected
@@ -29,6 +29,7 @@ from tests.cases.solid import (
     tag_facets,
     total,
 )
+from tests.cases.two_bodies import create_problem
 from tests.cases.user_laws import green_lagrange
 
 pytestmark = pytest.mark.mpi
@@ -145,18 +146,18 @@ def test_motions_that_nothing_holds_are_those_of_the_kinematics():
     bodies = find_bodies(V, along_the_axis)
     assert [name for _, name, _ in bodies.rigid_modes()] == 2 * ["shift along the axis"]
     across, along = np.array([[0, 0], [0, 1.0]]), np.array([[0, 1.0], [0, -1.0]])
-    (free,) = free_motions(bodies, [constraint(bodies, across)])
+    (free,), _ = find_free(bodies, [constraint(bodies, across)])
     assert free.startswith("shift along the axis of the body around [")
-    (free,) = free_motions(bodies, [constraint(bodies, along)])
+    (free,), _ = find_free(bodies, [constraint(bodies, along)])
     assert free.startswith("shift along the axis of the bodies around [") and "together" in free
-    assert free_motions(bodies, [constraint(bodies, w) for w in (across, along)]) == []
-    assert free_motions(find_bodies(V, lambda x: {}), [constraint(bodies, along)]) == []
+    assert find_free(bodies, [constraint(bodies, w) for w in (across, along)])[0] == []
+    assert find_free(find_bodies(V, lambda x: {}), [constraint(bodies, along)])[0] == []
 
 
 def test_a_problem_asks_for_the_motions_of_its_kinematics():
     ring = dataclasses.replace(plane_strain, name="ring", rigid_motions=along_the_axis)
     case = PressedBlocks()
-    problem = dm.ContactProblem(dm.Solid(case.u, LAW, kinematics=ring))
+    problem = create_problem(case.u, law=LAW, kinematics=ring)
     with rejected("nothing holds ", "shift along the axis of the body"):
         problem.audit()
     assert len(rigid_motions(problem.bodies)) == 1
@@ -204,10 +205,9 @@ def test_a_thick_cylinder_converges_to_lame(cell):
     for n in (4, 8, 16):
         u = create_displacement(section(1.0, 2.0, (n, n), cell))
         V = u.function_space
-        solid = dm.Solid(u, LAW, **RING)
         loads = 10.0 * ufl.TestFunction(V)[0] * marked(V.mesh, 0, 1.0)
         bcs = rollers(V, [1], (0.0, 1.0))
-        dm.newton(dm.ContactProblem(solid, bcs=bcs, loads=loads), rtol=1e-11)
+        dm.newton(create_problem(u, (), bcs, LAW, loads=loads, **RING), rtol=1e-11)
         x = ufl.SpatialCoordinate(V.mesh)
         difference = u[0] - exact.displacement(x[0])
         error = fem.form((difference**2 + u[1] ** 2) * x[0] * ufl.dx)

@@ -15,6 +15,7 @@ from dolfinx_mortar.newton_method.linearisation import (
     linearise,
     to_displacement,
 )
+from dolfinx_mortar.newton_method.subproblem import Solution
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.terms.sum import Terms
 from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
@@ -54,7 +55,7 @@ def test_the_merit_needs_its_penalty(monkeypatch):
     half = case.force
     assert dm.newton(case.problem).converged and case.force > 2.0 * half > 0.0
     case = overlapping()
-    monkeypatch.setattr(line_search.Direction, "excess", lambda self, t: 0.0)
+    monkeypatch.setattr(line_search.Path, "excess", lambda self, t: 0.0)
     with rejected("line search", error=dm.NewtonNotConverged):
         dm.newton(case.problem)
 
@@ -68,7 +69,7 @@ def test_the_slope_is_that_of_the_merit():
     solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
     du = to_displacement(problem.system.transformation, solved.x)
     multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
-    path = line_search.create_path(problem, lin, solved, du, multiplier)
+    path = line_search.create_path(problem, Solution(lin, solved), du, multiplier)
 
     def merit(t):
         line_search.move(problem, path.start + t * path.du)

@@ -51,7 +51,7 @@ async def coroutine(t):
 def test_what_has_set_nothing(on_time):
     """A function with `yield` only makes a generator: its loads would stay as they were."""
     case = Blocks(PILE[:1])
-    problem = dm.ContactProblem(dm.Solid(case.u, dm.Elastic(1.0, 0.3)), bcs=[case.fix(0, WEST)])
+    problem = case.problem([], [case.fix(0, WEST)])
     with rejected("on_time(1) returns a ", "has set nothing", "plain function"):
         list(dm.load_steps(problem, [1.0], on_time=on_time))
 

@@ -9,6 +9,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import COMM, create_displacement, hold, plane, rectangle, rollers, tag_facets
+from tests.cases.two_bodies import create_problem
 
 pytestmark = pytest.mark.mpi
 
@@ -32,14 +33,13 @@ def test_spring_bed(d):
     u, ds = create_box(d)
     V = u.function_space
     q = fem.Constant(V.mesh, default_scalar_type(0.0))
-    solid, bcs = dm.Solid(u, dm.Elastic(1000.0, 0.0)), rollers(V, range(d - 1))
+    law, bcs = dm.Elastic(1000.0, 0.0), rollers(V, range(d - 1))
     options = {
         "potential": 0.5 * 1000.0 * u[d - 1] ** 2 * ds(1),
         "loads": -q * ufl.TestFunction(V)[d - 1] * ds(2),
     }
-    pressed = dm.ContactProblem(
-        solid, bcs=[*bcs, hold(V, plane(d - 1, 1.0), d - 1, -0.01)], **options
-    )
+    held = [*bcs, hold(V, plane(d - 1, 1.0), d - 1, -0.01)]
+    pressed = create_problem(u, (), held, law, **options)
     for _ in range(2):  # a second solve finds the same
         assert dm.newton(pressed, rtol=1e-12).newton_iterations <= 2
         assert np.allclose(at(u, 0.0), -0.005, rtol=1e-12)
@@ -47,7 +47,7 @@ def test_spring_bed(d):
         stored = 0.5 * 1000.0 * 0.005**2 * (2.0 if d == 2 else 3.0)
         assert COMM.allreduce(np.sum(bed.energy())) == pytest.approx(stored, rel=1e-11)
         pressed.commit()
-    loaded, q.value = dm.ContactProblem(solid, bcs=bcs, **options), 5.0  # read at every assembly
+    loaded, q.value = create_problem(u, (), bcs, law, **options), 5.0  # read at every assembly
     dm.newton(loaded, rtol=1e-12)
     for height, sinks in ((0.0, 0.005), (1.0, 0.01)):
         assert np.allclose(at(u, height), -sinks, rtol=1e-11)
@@ -59,7 +59,7 @@ def refused(forms):
     def make():
         u, ds = create_box(2)
         V = u.function_space
-        dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), **forms(u, ufl.TestFunction(V), ds))
+        create_problem(u, **forms(u, ufl.TestFunction(V), ds))
 
     return make
 
@@ -113,7 +113,7 @@ def test_a_one_sided_bed_lets_go():
     move = fem.Constant(V.mesh, default_scalar_type(0.0))
     bcs = [hold(V, plane(1, 1.0), 1, move), *rollers(V, [0])]
     energy = 0.5 * 1000.0 * ufl.min_value(u[1], 0.0) ** 2 * ds(1)
-    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1000.0, 0.0)), bcs=bcs, potential=energy)
+    problem = create_problem(u, (), bcs, dm.Elastic(1000.0, 0.0), potential=energy)
     assert not problem.terms.linear
     for value, expected in ((-0.01, -0.005), (0.01, 0.01), (-0.02, -0.01)):
         move.value = value

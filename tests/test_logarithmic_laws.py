@@ -18,6 +18,7 @@ from dolfinx_mortar.materials.protocol import create_law
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pointwise_laws import OneSided
 from tests.cases.solid import create_displacement, create_domain, create_tags, hold
+from tests.cases.two_bodies import create_problem
 from tests.choice import quick
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
@@ -150,8 +151,7 @@ def test_tiny_strains_keep_their_digits(name):
     """H far below the round-off of 1 + H: the stress is that of the small strain."""
     law, p = start(LAWS[name], 2)
     H = 1e-12 * np.random.default_rng(8).standard_normal((2, 3, 3))
-    P, A, psi = np.empty((2, 9)), np.empty((2, 45)), np.empty(2)
-    law.respond(p, H, P, A, psi)
+    P, _, _ = law.response(p, H)
     point = MaterialPoint(LAWS[name])
     wanted = np.array([point.stress(1e6 * (h + h.T) / 2) for h in H]) / 1e6
     assert np.abs(P.reshape(2, 3, 3) - wanted).max() < 1e-11 * np.abs(wanted).max()
@@ -341,16 +341,16 @@ def test_lost_stress_is_noted():
     """Sheared by 1.2, a kinematic law says what it loses; an isotropic one loses nothing."""
     for law, noted in ((dm.VonMises(E, NU, Y, 1.0), True), (PERFECT, False)):
         u = create_displacement(create_domain("quadrilateral", 2))
-        solid, step = dm.Solid(u, law, strain="finite"), fem.Function(u.function_space)
+        step = fem.Function(u.function_space)
         bcs = [hold(u.function_space, lambda x: np.full(x.shape[1], True), value=step)]
 
         def on_time(t, step=step):
             step.interpolate(lambda x: np.stack([1.2 * t * x[1], 0 * x[0]]))
 
-        problem = dm.ContactProblem(solid, bcs=bcs)
+        problem = create_problem(u, (), bcs, law, strain="finite")
         *_, last = dm.load_steps(problem, np.linspace(0.05, 1, 20), on_time=on_time)
         assert any("logarithmic strain space" in note for note in last.report.notes) == noted
-        tau = solid.max("stress_xy")
+        tau = problem.solid.max("stress_xy")
         assert tau == pytest.approx(SIGMA_Y / np.sqrt(3), rel=0.06 if noted else 1e-3)
 
 

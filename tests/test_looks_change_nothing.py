@@ -164,9 +164,9 @@ def test_a_step_that_is_taken_back():
     check(look)
 
 
-def test_a_checkpoint_that_is_restored(tmp_path):
+def test_a_checkpoint_that_is_restored(folder):
     """Into another problem."""
-    file = COMM.bcast(tmp_path) / "state.h5"
+    file = folder / "state.h5"
 
     def look(pile, number):
         pile.problem.save(file)

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.mpi
 
 def pair_sides(V, tags):
     sides = [create_surface(V, tags, t, "side") for t in (TOP_OF_LOWER, BOTTOM_OF_UPPER)]
-    return create_pairing(V, *sides, None)
+    return create_pairing(*sides, None)
 
 
 def pair_up(cell, partition="stripes"):
@@ -72,7 +72,7 @@ def test_a_segment_of_a_pair_that_is_no_candidate_calls_for_a_search(cell, parti
     direction = np.array([0.8, 0.6, 0.0] if cell != "triangle" else [1.0, 0.0])
     for amount in np.linspace(0.0, 0.7, 8):
         u = slide(pairing, upper, amount * direction)
-        fresh = create_pairing(pairing.slave.V, pairing.slave, pairing.master, u, moving=False)
+        fresh = create_pairing(pairing.slave, pairing.master, u, moving=False)
         lost.append(any_rank(COMM, bool(with_segments(fresh, u) - known))[0])
         assert outside_margin(pairing, u) or not lost[-1]
     assert not lost[0]
@@ -97,12 +97,12 @@ def test_one_missing_candidate_is_noticed(cell):
 @pytest.mark.parametrize("partition", PARTITIONS)
 def test_margin_of_sliding(partition):
     """Half a facet of sliding is within the margin, several are not; a new search has a new one."""
-    V, pairing, upper = moving(partition)
+    _, pairing, upper = moving(partition)
     assert not outside_margin(pairing, None)
     for amount in (0.0, 0.08, -0.08, 1.0, -1.0):
         u = slide(pairing, upper, (amount, 0.0))
         assert outside_margin(pairing, u) == (abs(amount) > 0.5)
-        assert not outside_margin(create_pairing(V, pairing.slave, pairing.master, u), u)
+        assert not outside_margin(create_pairing(pairing.slave, pairing.master, u), u)
 
 
 def test_margin_where_a_rank_has_no_master_facet():
@@ -132,7 +132,7 @@ def test_margin_is_conservative(partition):
         if outside_margin(pairing, u):
             continue
         held += 1
-        again = create_pairing(V, pairing.slave, pairing.master, u)
+        again = create_pairing(pairing.slave, pairing.master, u)
         for A, B in zip(operators(pairing, u)[:2], operators(again, u)[:2], strict=True):
             assert (A - B).norm() < 1e-14
     assert 0 < held < 12

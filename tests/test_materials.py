@@ -36,7 +36,6 @@ LAWS = {
 }
 POINT, AT_CONE = MaterialPoint(STEEL), MaterialPoint(CONE)
 POINTS = {"kinematic": POINT, "cone": AT_CONE}
-SHEAR = np.array([[0, 1.0, 0], [1.0, 0, 0], [0, 0, 0]])
 
 seeds = st.integers(0, 2**32 - 1)
 magnitudes = st.floats(-12.0, 0.5).map(lambda power: 10.0**power)  # of strains
@@ -310,7 +309,7 @@ def test_stresses_in_closed_form(l3):
         ogden = ogden + m * (power - power.mean()) / a
     neo = mu * (a - 1 / a) + lam * np.log(J) / a
     for law, wanted in ((NEO_HOOKE, neo), (MOONEY, mooney), (OGDEN, ogden)):
-        found = compiled(law)(np.diag(a), {}).stress
+        found = compiled(law)(np.diag(a), {}).stress[0]
         np.testing.assert_allclose(found, np.diag(wanted), atol=1e-12 * abs(wanted).max())
 
 
@@ -362,14 +361,13 @@ def test_wrong_parameters(law, change, said):
             lambda: dm.VonMisesVoce.from_uniaxial(E, NU, 9.0, saturation=2.0, rate=0.0),
             "rate is 0.0",
         ),
-        (lambda: dm.VonMisesVoce.from_uniaxial(E, NU, 9.0, satturation=2.0), "takes saturation="),
         (
             lambda: dm.DruckerPrager.from_mohr_coulomb(1.0, 0.2, 1.0, 90.0, "extension"),
             "friction_angle is 90.0: give",
         ),
         (
             lambda: dm.DruckerPrager.from_mohr_coulomb(1.0, 0.2, 1.0, 30.0, "outer"),
-            "match is 'outer'; choose one of 'compression', 'extension', 'plane str",
+            "match is 'outer': choose 'compression', 'extension' or 'plane str",
         ),
     ],
 )

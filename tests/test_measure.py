@@ -10,7 +10,6 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm
 from dolfinx_mortar.newton_method.contacts import (
     Contacts,
@@ -21,12 +20,14 @@ from dolfinx_mortar.newton_method.contacts import (
 )
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.report.certificate import create_certificate, set_results
+from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from tests.cases.friction import create as create_pushed
 from tests.cases.hertz import ELASTIC, create_case
 from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks
-from tests.cases.two_bodies import create_problem, held
+from tests.cases.solid import rollers
+from tests.tool_case import TOP as END
+from tests.tool_case import Box
 
 COMM = MPI.COMM_WORLD
 RTOL, MU = 1e-6, 0.2
@@ -66,8 +67,9 @@ class Judged:
         _, balances = set_results(self.problem, self.balance, contacts)
         noise, limits = gap_round_off(self.problem.u), self.balance.limits
         sliders = None if limits is None else find_sliders(limits, contacts, self.diagonal, noise)
-        residual = self.measure(contacts)
-        return create_certificate(self.problem, self.report, contacts, residual, balances, sliders)
+        found = contacts, self.measure(contacts), self.diagonal.array_r
+        end = StepEnd(self.problem, self.report, self.balance, *found)
+        return create_certificate(end, balances, sliders)
 
 
 @pytest.fixture(scope="module")
@@ -200,19 +202,10 @@ def test_friction_that_drives(pushed):
 @pytest.mark.parametrize("excess", [1e-3, 0.1])
 def test_equilibrium_of_one_cell(excess):
     """A square stretched too far by a share e: of the loads that are left, |f| = e F / sqrt(2)."""
-    domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1, mesh.CellType.quadrilateral)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    found = [
-        mesh.locate_entities_boundary(domain, 1, lambda x, i=i, at=at: np.isclose(x[i], at))
-        for i, at in ((0, 0.0), (1, 0.0), (1, 1.0))
-    ]
-    order = np.argsort(np.concatenate(found))
-    tags = mesh.meshtags(
-        domain, 1, np.concatenate(found)[order], np.arange(3, dtype=np.int32)[order]
-    )
-    bcs = [held(V, tags, i, 0.0, i) for i in (0, 1)]
-    loads = 7.0 * ufl.TestFunction(V)[1] * ufl.Measure("ds", domain, subdomain_data=tags)(2)
-    problem = create_problem(V, bcs=bcs, law=ELASTIC, loads=loads)
+    square = Box("quadrilateral", (1, 1), comm=MPI.COMM_SELF)
+    ds = ufl.Measure("ds", square.mesh, subdomain_data=square.facets)(END)
+    loads = 7.0 * ufl.TestFunction(square.V)[1] * ds
+    problem = square.problem((), ELASTIC, bcs=rollers(square.V), loads=loads)
     u = problem.u
     report = dm.newton(problem, rtol=1e-12)
     u.x.array[:] *= 1.0 + excess
@@ -221,5 +214,6 @@ def test_equilibrium_of_one_cell(excess):
     contacts = Contacts(np.zeros(4, dtype=bool), np.zeros(4))
     rest = linearise(problem, balance).diagonal, Scales(1.0), 1.0, RTOL
     residual = measure(u, balance, contacts, *rest)
-    said = create_certificate(problem, report, contacts, residual, (0.0, 0.0)).equilibrium
+    end = StepEnd(problem, report, balance, contacts, residual, np.zeros(0))
+    said = create_certificate(end, (0.0, 0.0)).equilibrium
     assert said == pytest.approx(excess / (np.sqrt(2.0) * (1.0 + excess)), rel=1e-9)

@@ -211,7 +211,7 @@ def test_a_running_gmsh_is_left_as_it_was(monkeypatch):
             found = meshing.hertz(COMM, kind="graded", h=0.6, cell=cell).mesh.geometry.x
             assert cell == "triangle" or np.array_equal(found, alone)
         meshing.sphere(COMM, h=1.0, cell="tetrahedron")
-        monkeypatch.setattr(two_bodies, "read_cells", lambda *_: 1 / 0)
+        monkeypatch.setattr(gmsh.model.mesh, "generate", lambda _: 1 / 0)
         with pytest.raises(RuntimeError, match="gmsh failed"):
             meshing.hertz(COMM, kind="graded", h=0.6)
         assert gmsh.model.getCurrent() == "theirs" and len(gmsh.model.list()) == 2  # and an empty

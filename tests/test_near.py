@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: MIT
 """When surfaces are paired and coupled, and the first guess of the nodes in contact."""
 
-from types import SimpleNamespace
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 from dolfinx_mortar import meshing, newton
-from dolfinx_mortar.interfaces import link as links
-from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
+from dolfinx_mortar.interfaces.contact import MortarInterface
 from tests.cases.bolted_joint import Joint
 from tests.cases.hertz import ELASTIC, create_case
 
@@ -73,17 +70,3 @@ def test_sides_that_have_slid_are_coupled_where_they_are(coupled):
         found = system.begin(problem.configuration, problem.committed.paired)
         assert (len(coupled), system.searches - before) == (1, pairs)
         assert np.array_equal(found.paired_at, problem.owned_u)
-
-
-@pytest.mark.parametrize("nearest", [-0.02, 0.03])
-def test_the_first_guess_of_a_ball_that_is_pressed_in(monkeypatch, nearest):
-    """By Hertz a ball that overlaps by delta touches within a = (delta R)^(1/2)."""
-    radius, x = 2.0, np.linspace(-0.5, 0.5, 101)
-    gaps = nearest + x**2 / (2.0 * radius) + 1e-14 * np.sign(x)
-    monkeypatch.setattr(links, "nodal_gaps", lambda *_: gaps)
-    mesh = SimpleNamespace(comm=MPI.COMM_SELF)
-    link = SimpleNamespace(sides=SimpleNamespace(V=SimpleNamespace(mesh=mesh)))
-    bounded = np.arange(0, 101, 2)
-    found = links.predict_active([link], None, 101, bounded, facet_length=0.02)
-    a = np.sqrt(-nearest * radius) if nearest < 0.0 else 0.0
-    assert found.tolist() == (np.abs(x[bounded]) < a + 1e-9).astype(int).tolist()

@@ -36,7 +36,7 @@ LAYERS = (
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.link": ("OVERLAP",),
-    "audit.sides": ("COARSE",),
+    "audit.audit": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
     "newton_method.contacts": ("FORCING", "DIGIT"),
@@ -51,7 +51,7 @@ OTHERS = {
     "newton_method.driven_tools",  # in test_driven_tools
     "interfaces.interface",
     "interfaces.tie",
-    "audit.sides",  # in test_stand_off
+    "audit.audit",  # in test_stand_off
     "report.resolution",
     "report.penetration",
     "interfaces.pretension",

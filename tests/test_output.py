@@ -25,8 +25,8 @@ CELLS = {"von Mises": (), "stress": (3, 3), "plane": (4,), "spatial": (6,)}
 
 
 @pytest.fixture
-def path(tmp_path):
-    return COMM.bcast(tmp_path) / "out.xdmf"
+def path(folder):
+    return folder / "out.xdmf"
 
 
 @pytest.fixture

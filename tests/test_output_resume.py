@@ -25,12 +25,6 @@ OPTIONS = {"rtol": 1e-8, "progress": False}
 Press = partial(checkpoint_program.Press, law=dm.Elastic(206_900.0, 0.29), geometry="reference")
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 def run(folder, press=None, *, stop=None, before=False, every=1):
     """Run the program of a user; leave it at a step, before or after that has been written."""
     press = Press() if press is None else press

@@ -14,7 +14,7 @@ from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.coupling import Coupling, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
@@ -81,12 +81,8 @@ class Pressed(PressedBlocks):
         interfaces = [self.plane, self.tie()] if interfaces is None else interfaces
         bcs = [self.bc(TOP, self.top)]
         if held:  # all nodes on the plane
-            nodes = fem.locate_dofs_topological(self.V.sub(0), 1, self.facets.find(BOTTOM))
-            bcs.append(fem.dirichletbc(0.0, nodes, self.V.sub(0)))
+            bcs.append(self.roller(BOTTOM, 0))
         return super().problem(interfaces, bcs=bcs, law=self.law, **options)
-
-    def tie(self):
-        return dm.Tie(self.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
 
     def press(self, depth, along=0.0):
         self.top.value = self.turned @ [along, -depth]
@@ -190,8 +186,8 @@ def spoilt(method, how, on):
 
 
 @pytest.mark.parametrize(("method", "how", "words"), SPOILT)
-def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, tmp_path):
-    path, case = COMM.bcast(tmp_path / "state.h5"), Pressed()
+def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, folder):
+    path, case = folder / "state.h5", Pressed()
     nodes = fem.locate_dofs_topological(case.V, 1, case.facets.find(BOTTOM))
     owns = (nodes < case.V.dofmap.index_map.size_local).any()
     last = COMM.allreduce(COMM.rank if owns else -1, op=MPI.MAX)

@@ -167,7 +167,7 @@ def test_output_sees_the_parameters_of_its_points():
     solid = solid_on(domain, dm.VonMises(1000.0, 0.3, 1.0, a))
     set_wave(solid.u, 0.1)
     solid.evaluate()
-    x = dm.solid.sources.create_field(domain, solid.quadrature_degree, (), "a")
+    x = dm.solid.sources.point_function(domain, solid.quadrature_degree, (), "a")
     points = x.function_space.element.interpolation_points
     x.interpolate(fem.Expression(a, points() if callable(points) else points))
     dofs = x.function_space.dofmap.list[: solid.fields.weights.shape[0]]
@@ -291,13 +291,3 @@ def test_what_cannot_be_a_parameter():
     ]:
         with rejected(message):
             dm.Solid(u, dm.Elastic(E, 0.3))
-
-
-def test_uniaxial_numbers_may_vary():
-    domain = create_domain("triangle")
-    given = 450.0, 15_000.0
-    plain = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *given)
-    law = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *(constant(domain, v) for v in given))
-    assert list(law.state) == ["plastic_strain"]  # no isotropic hardening, no variable for it
-    found = [numbers(solid_on(domain, m)) for m in (plain, law)]
-    assert found[1] == pytest.approx(found[0], rel=1e-12)

@@ -20,7 +20,8 @@ def test_curved_facets_are_integrated_as_they_are(element):
     if not element.bilinear:
         corner = np.array([[-9.0, -9.0], [27.0, -9.0], [-9.0, 27.0]])
     flat = np.column_stack([corner, np.full(len(corner), 1.0)])
-    master = Facets(element, (element.vertex_functions(xi) @ flat)[None, list(element.mirrored)])
+    x_m = element.first.shape_functions(xi) @ flat
+    master = Facets(element, x_m[None, list(element.mirrored)])
     pairs = np.zeros((1, 2), dtype=np.int32)
     points = segments.create_segments(slave, np.zeros((1, 1, 3)), master, pairs)
     area, parts = (tributary_weights(f).sum() for f in (slave, parts_of(slave)))
@@ -56,11 +57,9 @@ def products(slave, master):
 
 @pytest.mark.parametrize(("element", "largest"), [(TRI6, 2e-3), (QUAD9, 1e-6)], ids=["six", "nine"])
 def test_rules_are_exact_on_flat_facets_and_close_on_curved_ones(element, largest, monkeypatch):
-    """Flat ones are clipped as a whole, by the same numbers as in parts."""
     for bend in (0.0, 0.01, 0.1):
         found = products(*sides(element, bend))
         with monkeypatch.context() as context:
-            context.setattr(area, "first_order", lambda facets: None)
             context.setattr(area, "_least_degree", lambda slave, master: 24)
             exact = products(*sides(element, bend))
         turn, size = 2 * bend, exact[1].sum()
@@ -76,15 +75,12 @@ def uneven(n, half, seed):
     shift = np.random.default_rng(seed).uniform(-size / 6, size / 6, (n - 1, n - 1, 2))
     at[1:-1, 1:-1] += shift
     corners = np.stack([at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]], axis=2)
-    x = QUAD9.vertex_functions(QUAD9.points) @ corners.reshape(-1, 4, 2)
+    x = QUAD9.first.shape_functions(QUAD9.points) @ corners.reshape(-1, 4, 2)
     return Facets(QUAD9, np.pad(x, ((0, 0), (0, 0), (0, 1))))
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["whole", "in parts"])
-def test_a_constant_pressure_passes_through_uneven_quadrilaterals(whole, monkeypatch):
+def test_a_constant_pressure_passes_through_uneven_quadrilaterals(monkeypatch):
     """To round-off: inverse maps are no polynomials. Products of functions to 1e-12."""
-    if not whole:
-        monkeypatch.setattr(area, "first_order", lambda facets: None)
     slave, master = uneven(3, 1.2, 1), uneven(2, 1.0, 2)
     master = Facets(QUAD9, np.ascontiguousarray(master.x[:, list(QUAD9.mirrored)]))
     pairs = np.array([[s, m] for s in range(9) for m in range(4)], dtype=np.int32)

@@ -6,7 +6,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
@@ -19,8 +18,10 @@ from tests.cases.close_fits import rings
 from tests.cases.hertz import create_mesh
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins
 from tests.cases.meshes_3d import rotation
+from tests.cases.solid import hold, plane
 from tests.cases.triangles import box
 from tests.cases.two_bodies import TwoBodies, create_problem, held
+from tests.tool_case import BASE, TOP, Box
 
 COMM = MPI.COMM_WORLD
 
@@ -80,8 +81,7 @@ class Pushed:
             values = np.where(np.isin(marked, disc), BOTTOM_OF_UPPER, TOP_OF_LOWER)
             tags = meshtags(mesh, 1, marked, values.astype(np.int32))
         self.way = fem.Constant(mesh, np.zeros(2))
-        clamped = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], -8.0))
-        bcs = [fem.dirichletbc(np.zeros(2), clamped, V), held(V, facets, "flat", self.way)]
+        bcs = [hold(V, plane(0, -8.0)), held(V, facets, "flat", self.way)]
         sides = {"strip": TOP_OF_LOWER, "disc": BOTTOM_OF_UPPER}
         master = next(name for name in sides if name != slave)
         self.contact = dm.Contact(tags, slave=sides[slave], master=sides[master])
@@ -155,19 +155,6 @@ def test_bodies_may_part_and_slide_past(way):
     assert np.linalg.norm(pushed.contact.force) < 1e-12
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("degrees", [20.0, 90.0])
-def test_bodies_may_turn_together(degrees):
-    """As one, by angles that displacements alone make look like a way through."""
-    pushed = Pushed()
-    pushed.problem.audit()
-    R = rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
-    pushed.problem.u.interpolate(lambda x: R @ x[:2] - x[:2] + [[3.0], [-5.0]])
-    assert not describe_passing(pushed.problem)
-    pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -6.0, 0.0)]))
-    assert "has passed through the other one" in describe_passing(pushed.problem)
-
-
 @pytest.mark.parametrize("degrees", [45.0, 90.0, -150.0])
 @pytest.mark.parametrize("slave", [2, 3])
 def test_a_hub_may_turn_in_a_ring(degrees, slave):
@@ -223,16 +210,12 @@ def test_boxes_in_space(cell):
 
 def on_ball(d, n, radius=0.2):
     """Return a problem of the box [0, 1]^(d-1) x [0, .5] above a ball, and the ball."""
-    ends = [[0.0] * d, [1.0] * (d - 1) + [0.5]]
-    create = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[d]
-    domain = create(COMM, ends, [n] * (d - 1) + [2])
-    facets = dolfinx.mesh.locate_entities_boundary(domain, d - 1, lambda x: np.isclose(x[d - 1], 0))
-    tags = meshtags(domain, d - 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
+    high = [1.0] * (d - 1) + [0.5]
+    case = Box(("triangle", "tetrahedron")[d - 2], [n] * (d - 1) + [2], high=high)
     below = np.array([0.5] * (d - 1) + [-0.3])
     shape = dm.shapes.Cylinder(below, radius) if d == 2 else dm.shapes.Sphere(below, radius)
-    ball = dm.Obstacle(tags, slave=1, shape=shape)
-    V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
-    return create_problem(V, [ball]), ball
+    ball = dm.Obstacle(case.facets, slave=BASE, shape=shape)
+    return case.problem([ball], bcs=()), ball
 
 
 @pytest.mark.mpi
@@ -276,8 +259,8 @@ def test_a_blade_that_turns_through_a_body(d):
     """By half a turn and more, at whose end nothing tells which way it went."""
     problem, ball = on_ball(d, 4)
     end = np.array([-1.0, -0.3]) if d == 2 else np.array([-1.0, -1.0, -0.3])
-    tool = dm.Obstacle(ball.facet_tags, slave=1, shape=blade(d), reference=end)
-    problem = dm.ContactProblem(problem.solid, [tool])
+    tool = dm.Obstacle(ball.facet_tags, slave=BASE, shape=blade(d), reference=end)
+    problem = create_problem(problem.u, [tool])
     about = np.array([0.0, 0.0, 1.0]) if d == 2 else np.array([0.0, -1.0, 0.0])
 
     def passes(degrees, body=0.0):
@@ -316,13 +299,10 @@ def test_rotations_go_on_beyond_half_a_turn():
 @pytest.mark.mpi
 def test_a_step_that_ends_beyond_a_tool_is_refused():
     problem, ball = on_ball(2, 8)
-    V = problem.V
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0.5))
-    bcs = [fem.dirichletbc(np.zeros(2), top, V)]
-    held = dm.ContactProblem(problem.solid, [ball], bcs=bcs)
+    clamped = create_problem(problem.u, [ball], [held(problem.V, ball.facet_tags, TOP)])
     ball.position.value[1] = 1.5
     with pytest.raises(dm.NewtonNotConverged, match="the side has passed through the tool"):
-        dm.newton(held)
+        dm.newton(clamped)
     assert not problem.u.x.array.any()
 
 
@@ -346,10 +326,10 @@ def test_a_tool_without_a_distance_at_its_point():
     slope = ufl.sqrt(ufl.dot(ufl.grad(level), ufl.grad(level)))
     oval = dm.Obstacle(
         problem.interfaces[0].facet_tags,
-        slave=1,
+        slave=BASE,
         shape=dm.shapes.SignedDistance(level / slope, (0.5, -0.3)),
     )
-    problem = dm.ContactProblem(problem.solid, [oval])
+    problem = create_problem(problem.u, [oval])
     for down, passes in ((0.05, False), (2.0, True)):
         problem.u.x.array[1::2] = -down
         assert ("passed through" in describe_passing(problem)) == passes

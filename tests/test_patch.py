@@ -18,16 +18,22 @@ E, NU, P = 1000.0, 0.4, 10.0
 EXACT = 1e-10
 
 
-def beyond(mesh, x, cut, lines, degree):
-    """Return a traction share with the moments of the indicator of x > ``cut``."""
+def beyond(mesh, x, cut, lines, degree, weight=np.ones_like):
+    """Return a traction share with the weighted moments of the indicator of x > ``cut``."""
     k = int(np.searchsorted(lines, cut)) - 1
     a = b = cut
     share = np.array([1.0, 0.0, 0.0])  # of 1, s and s^2, with s from 0 to 1 along the facet
     if 0 <= k < len(lines) - 1 and not np.isclose(cut, lines[k + 1], rtol=0, atol=1e-14):
         a, b = lines[k], lines[k + 1]
-        power, s = np.arange(degree + 1), (cut - a) / (b - a)
-        hilbert = 1 / (1.0 + power[:, None] + power)
-        share[: degree + 1] = np.linalg.solve(hilbert, (1 - s ** (power + 1)) / (power + 1))
+        points, weights = np.polynomial.legendre.leggauss(5)
+
+        def moments(low):
+            s = low + (1 - low) / 2 * (1 + points)
+            powers = s ** np.arange(degree + 1)[:, None]
+            return powers, powers * weights * weight(a + s * (b - a)) * (1 - low) / 2
+
+        (powers, whole), (_, part) = moments(0.0), moments((cut - a) / (b - a))
+        share[: degree + 1] = np.linalg.solve(whole @ powers.T, part.sum(axis=1))
     length = b - a if b > a else 1.0
     c = [
         fem.Constant(mesh, default_scalar_type(v)) for v in (a, b, *share / length ** np.arange(3))

@@ -117,15 +117,6 @@ def test_quadratic_tail():
     assert history[-1] < 1e-11
 
 
-def test_cut_back():
-    """With few iterations allowed, load steps are halved until they converge."""
-    case = create_case(create_mesh("paper", 0.05))
-    (step,) = dm.load_steps(case.problem, [0.2], on_time=case.press, max_it=5)
-    assert len(step.parts) > 1
-    assert step.report.converged
-    assert np.isclose(case.top.value[1], -0.2)
-
-
 def test_units():
     """Units of length and stress change no dimensionless result and no iteration count."""
     results = []

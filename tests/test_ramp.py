@@ -9,6 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.agreement import find_constants
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
@@ -16,12 +17,6 @@ from tests.checkpoint_runs import agree
 
 COMM = MPI.COMM_WORLD
 ROWS = [(0.0, (0.0, 0.0)), (0.6, (0.001, -0.005)), (1.0, (0.002, -0.008))]
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
 
 
 def by_function(constant, rows):
@@ -82,7 +77,7 @@ def test_a_table_that_nothing_reads_is_told_of():
     assert len(first) == 1 and first[0].startswith("ramp: table 7 ") and not second
     assert told(on_time=lambda t: None) == [[], []]
     own = dm.ContactProblem(solid, [contact], bcs=case.bcs(), terms=[Bare()])
-    assert own.constants() is None
+    assert find_constants(own.inputs) is None
 
 
 def test_a_function_finds_the_values_of_the_tables():
@@ -157,15 +152,6 @@ def test_levels_that_a_table_does_not_hold():
             next(press.walk(levels, on_time=None, ramp={press.top: rows}, start=start))
     assert not press.problem.history
     check_range(read_ramps(COMM, {press.top: ROWS}), [0.0, 1.0 + 1e-15])  # by round-off: none
-
-
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="for several ranks")
-def test_ranks_that_do_not_agree():
-    press = Press()
-    rows = [*ROWS[:-1], (1.0, (0.002, -0.008 - 0.001 * COMM.rank))]
-    with rejected("ramp: table 1 differs between the ranks", "give all ranks the same"):
-        next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}))
 
 
 # -- restart ---------------------------------------------------------------------------------------

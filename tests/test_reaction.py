@@ -12,6 +12,7 @@ from dolfinx import default_scalar_type, fem, mesh
 from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, EAST, PILE, STEEL, WEST, Blocks
 from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.solid import create_displacement, hold, plane, tag_facets
+from tests.cases.two_bodies import create_problem
 
 TIGHT = 1e-11
 
@@ -94,7 +95,7 @@ def cube():
     ds = ufl.Measure("ds", box, subdomain_data=tags)
     pull = fem.Constant(box, default_scalar_type((1.0, 2.0, 3.0)))
     loads = ufl.inner(pull, ufl.TestFunction(V)) * ds(2)
-    return dm.ContactProblem(dm.Solid(u, STEEL), bcs=bcs, loads=loads), tags
+    return create_problem(u, (), bcs, STEEL, loads=loads), tags
 
 
 @pytest.mark.mpi
@@ -118,10 +119,10 @@ def test_moments_in_space():
 def test_the_whole_ring():
     """A tube 1 < r < 2 pressed at its end: 3 pi p; no moment about the axis' points."""
     b = Blocks([(1.0, 2.0, 0.0, 1.0, 3, 2)], cell="quadrilateral")
-    solid = dm.Solid(b.u, STEEL, kinematics="axisymmetric")
     foot = b.fix(1, BELOW, component=1)
     bore = b.fix(1, WEST, component=0)
-    problem = dm.ContactProblem(solid, bcs=[foot, bore], loads=b.traction(1, ABOVE, (0.0, -5.0)))
+    own = {"kinematics": "axisymmetric", "loads": b.traction(1, ABOVE, (0.0, -5.0))}
+    problem = b.problem([], [foot, bore], **own)
     dm.newton(problem, rtol=TIGHT)
     assert dm.reaction(problem, foot).force == pytest.approx([0.0, 15 * np.pi], rel=1e-9)
     assert dm.reaction(problem, bore).force[0] < -1.0  # the wider tube is held back, all around
@@ -150,8 +151,8 @@ def test_it_is_that_of_the_last_step_whatever_comes_after():
 
 
 @pytest.mark.mpi
-def test_rows_of_load_steps_have_it_and_a_checkpoint_too(tmp_path):
-    file = COMM.bcast(tmp_path) / "walk.h5"
+def test_rows_of_load_steps_have_it_and_a_checkpoint_too(folder):
+    file = folder / "walk.h5"
     case = PressedBlocks()
     problem = case.problem()
 

@@ -42,10 +42,10 @@ def test_asking_before_the_first_step():
 
 
 @pytest.mark.mpi
-def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
+def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
     """It would be the results of the other one; what has been written stays."""
     pytest.importorskip("matplotlib")
-    folder = COMM.bcast(tmp_path)
+    folder = folder
     case = PressedBlocks()
     contact = case.contact()
     first = case.problem([contact])
@@ -56,7 +56,7 @@ def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
     written = (folder / "first.xdmf").read_text()
     solid = dm.Solid(fem.Function(case.V), ELASTIC)
     case.top.value[1] = -0.02
-    second = dm.ContactProblem(solid, [contact], bcs=case.bcs())
+    second = case.problem([contact], law=solid)
     dm.newton(second)
     pressure = contact.pressure.x.array.copy()
     for show in (

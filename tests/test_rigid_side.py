@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.interfaces.rigid_side import Plate
 from tests.cases.meshes import TOP
 from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.solid import hold, plane
 from tests.tool_case import BASE, Box
 from tests.tool_case import TOP as END
 
@@ -43,8 +43,8 @@ class Bar(Box):
         super().__init__(cell, n, low, high, axis=axis, degree=degree, comm=comm, move=move)
         end = high[axis] * np.eye(d)[axis]
         self.side = dm.RigidSide(self.facets, END, reference=end, **options)
-        solid, bcs = dm.Solid(self.u, law, strain=strain), [self.hold(BASE)] if held else []
-        self.mechanics = dm.ContactProblem(solid, [self.side], bcs=bcs)
+        bcs = [self.hold(BASE)] if held else []
+        self.mechanics = self.problem([self.side], law, bcs=bcs, strain=strain)
 
     def solve(self, **options):
         """Return the report of a step."""
@@ -111,16 +111,13 @@ def test_a_round_rod_is_pulled():
     """Rings: the force on all of the rod, F L / (E pi R^2), nodes of the axis included."""
     rod = Box("triangle", (3, 4), high=(0.5, LENGTH))
     side = dm.RigidSide(rod.facets, END, reference=(0.0, LENGTH), load={"y": 3.0})
-    W = rod.V.sub(0)
-    axis = fem.locate_dofs_geometrical((W, W.collapse()[0]), lambda x: np.isclose(x[0], 0.0))[0]
-    bcs = [fem.dirichletbc(0.0, axis, W), rod.hold(BASE, 1)]
-    solid = dm.Solid(rod.u, HOOKE, kinematics="axisymmetric")
-    dm.newton(dm.ContactProblem(solid, [side], bcs=bcs))
+    options = {"bcs": [hold(rod.V, plane(0), 0), rod.hold(BASE, 1)], "kinematics": "axisymmetric"}
+    dm.newton(rod.problem([side], HOOKE, **options))
     assert side.travel[1] == pytest.approx(3.0 * LENGTH / (E * np.pi * 0.25))
     assert side.force[1] == pytest.approx(3.0)
     wrong = dm.RigidSide(rod.facets, END, reference=(0.0, LENGTH), load={"x": 3.0})
     with rejected("load", "axis only"):
-        dm.newton(dm.ContactProblem(solid, [wrong], bcs=bcs))
+        dm.newton(rod.problem([wrong], HOOKE, **options))
 
 
 def test_turned_without_strain():
@@ -205,9 +202,8 @@ def sides(tag=END, count=1, **options):
     case = Bar()
     given = {"reference": (0.0, 0.0)} | options
     found = [dm.RigidSide(case.facets, tag, **given) for _ in range(count)]
-    solid = dm.Solid(case.u, HOOKE)
     held = [case.hold(END)] if not options and count == 1 else []
-    dm.newton(dm.ContactProblem(solid, found, bcs=held))
+    dm.newton(case.problem(found, HOOKE, bcs=held))
 
 
 @pytest.mark.parametrize(

@@ -131,27 +131,6 @@ def test_long_master_beyond_a_corner():
     assert o.covered[2] == 0.0  # its normal is at a right angle to the master's
 
 
-def random_side(seed, n, up):
-    """Return a wavy polyline over about [0, 1]."""
-    rng = np.random.default_rng(seed)
-    x = np.sort(rng.uniform(-0.2, 1.2, n))
-    y = rng.uniform(-0.15, 0.15, n) + (-0.3 if up else 0.0)
-    return np.stack([x, y], axis=1)[:: -1 if up else 1]
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 10**6), st.integers(2, 15), st.integers(2, 15))
-def test_candidates_contain_all_segments(seed, n, m):
-    """The broad phase loses nothing: all pairs as candidates give the same segments."""
-    x_s, x_m = random_side(seed, n, False), random_side(seed + 1, m, True)
-    every = np.stack(np.meshgrid(np.arange(n - 1), np.arange(m - 1), indexing="ij"), axis=-1)
-    o = assemble(x_s, x_m)
-    complete = assemble(x_s, x_m, pairs=every.reshape(-1, 2).astype(np.int32))
-    for name in ("slave", "master", "xi_s", "xi_m", "weight"):
-        assert (getattr(o.points, name) == getattr(complete.points, name)).all()
-    assert (o.covered <= np.linalg.norm(np.diff(x_s, axis=0), axis=1) * (1 + EXACT)).all()
-
-
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
     grid = np.linspace(0, 1, 61)

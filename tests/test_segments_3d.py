@@ -91,19 +91,6 @@ def test_random_grids(k_s, k_m, x, y, jitter, seed, angle):
 
 
 @PAIRS
-def test_partly_covered(k_s, k_m):
-    """The common area is that of the common rectangle, for facets of either side."""
-    slave = grid(np.linspace(0, 1, 4), np.linspace(0, 1, 5), 0.5, 1, k_s)
-    master = grid(np.linspace(0.3, 1.7, 6), np.linspace(-0.2, 0.9, 4), 0.5, 2, k_m).reversed()
-    o = assemble(slave, master)
-    assert o.covered.sum() == pytest.approx(0.7 * 0.9, abs=EXACT)
-    assert (o.covered <= areas(slave) + EXACT).all()
-    assert (o.used <= areas(master) + EXACT).all()
-    assert np.abs(o.D - np.diag(o.weights)).max() < EXACT
-    assert np.abs(o.M @ master.x - o.D @ slave.x).max() < EXACT
-
-
-@PAIRS
 @pytest.mark.parametrize("seed", range(4))
 def test_nearest_of_several_masters_covers(k_s, k_m, seed):
     """Layers behind each other, the nearer ones smaller: no point is covered twice."""

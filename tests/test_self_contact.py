@@ -98,8 +98,8 @@ def straight(compression=0.0):
 @pytest.mark.parametrize("compression", [0.0, 0.3, 0.7])
 def test_the_other_side_of_a_body_is_no_partner(compression):
     """Nor is the facet beside; also where the strip has become thinner than half of what it was."""
-    V, skin, u = straight(compression)
-    pairing = create_pairing(V, skin, skin, u)
+    _, skin, u = straight(compression)
+    pairing = create_pairing(skin, skin, u)
     assert len(pairing.pairs) == 0 and not pairing.roles.slave.any()
     assert not outside_margin(pairing, u)
 
@@ -111,7 +111,7 @@ def test_a_notch_is_paired_but_for_the_facets_that_share_its_tip():
     skin = create_surface(V, fold.contact.facet_tags, SKIN, "skin")
     u = fem.Function(V)
     u.interpolate(lambda x: np.stack([0.0 * x[0], -0.6 * x[1]]))
-    pairing = create_pairing(V, skin, skin, u)
+    pairing = create_pairing(skin, skin, u)
     assert len(pairing.pairs) > 5
     nodes = pairing.master_nodes[pairing.master_facets[pairing.pairs[:, 1]]]
     own = skin.nodes[skin.facets[pairing.pairs[:, 0]]]
@@ -140,12 +140,12 @@ def two_blocks():
 
 def test_parts_that_come_near_ask_for_a_search():
     """Within half of the reach, and not before; not those whose roles are settled."""
-    V, skin, at = two_blocks()
-    far = create_pairing(V, skin, skin, at(1.05))
+    _, skin, at = two_blocks()
+    far = create_pairing(skin, skin, at(1.05))
     assert len(far.roles.seen) == 0
     assert not outside_margin(far, at(0.55))
     assert outside_margin(far, at(0.45))
-    near = create_pairing(V, skin, skin, at(0.95))
+    near = create_pairing(skin, skin, at(0.95))
     assert len(near.pairs) >= 8
     assert not outside_margin(near, at(0.1))
     # masters beyond the next one have not been seen by a slave
@@ -154,11 +154,11 @@ def test_parts_that_come_near_ask_for_a_search():
 
 
 def test_facets_of_one_role_that_come_nearer_ask_for_a_search(monkeypatch):
-    V, skin, at = two_blocks()
+    _, skin, at = two_blocks()
     every = lambda keys, *_: np.ones(len(keys), dtype=bool)  # noqa: E731
     with monkeypatch.context() as patch:
         patch.setattr(self_contact, "_divide", every)
-        pairing = create_pairing(V, skin, skin, at(0.9))
+        pairing = create_pairing(skin, skin, at(0.9))
     assert len(pairing.pairs) == 0 and len(pairing.roles.seen) >= 16
     assert not outside_margin(pairing, at(0.48))
     assert outside_margin(pairing, at(0.42))

@@ -64,7 +64,7 @@ def test_partners_face_each_other_from_outside(cell, gap):
     V, _, tags, _, up = create(cell, gap=gap)
     for slave, master in (SIDES, SIDES[::-1]):
         sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
-        pairing = create_pairing(V, *sides, None)
+        pairing = create_pairing(*sides, None)
         points, _ = find_segments(pairing, None)
         facets = facets_at(pairing.slave, pairing.slave.X)
         n = facet_normals(facets)[points.slave]

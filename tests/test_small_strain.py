@@ -16,6 +16,7 @@ from tests.cases.material_point import MaterialPoint
 from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.solid import create_displacement, create_domain, hold, plane, rectangle
+from tests.cases.two_bodies import create_problem
 from tests.cases.user_laws import green_lagrange
 
 pytestmark = pytest.mark.mpi
@@ -32,9 +33,10 @@ class Moved:
     def __init__(self, law=SOFT, cell="quadrilateral", **options):
         u = create_displacement(create_domain(cell, 2))
         V = u.function_space
-        self.prescribed, self.solid = fem.Function(V), dm.Solid(u, law, **options)
+        self.prescribed = fem.Function(V)
         bcs = [hold(V, lambda x: np.full(x.shape[1], True), value=self.prescribed)]
-        self.problem = dm.ContactProblem(self.solid, bcs=bcs)
+        self.problem = create_problem(u, (), bcs, dm.Solid(u, law, **options))
+        self.solid = self.problem.solid
 
     def move(self, H):
         d = len(H)
@@ -83,7 +85,7 @@ def test_numbers_of_a_uniform_gradient(cell, kinematics):
 def test_a_ring_is_widened_and_turned():
     """The strain along the ring, u_r / r, is part of H; its rotation is that of the section."""
     u = create_displacement(rectangle([(1.0, 0.0), (2.0, 1.0)], (2, 2)))
-    problem = dm.ContactProblem(dm.Solid(u, SOFT, kinematics="axisymmetric"), bcs=[])
+    problem = create_problem(u, law=SOFT, kinematics="axisymmetric")
     u.interpolate(lambda x: np.stack([0.2 * x[0], 0.1 * x[0]]))
     problem.solid.evaluate()
     found = find_left_out(problem)
@@ -181,7 +183,7 @@ def test_a_strain_in_a_small_part_is_noted(size, noted):
     x = V.tabulate_dof_coordinates()
     corner = np.flatnonzero(np.all(np.isclose(x[:, :2], 0.0), axis=1)).astype(np.int32)
     bcs = [hold(V, plane(1, 10.0)), fem.dirichletbc(np.array([-size, 0.0]), corner, V)]
-    problem = dm.ContactProblem(dm.Solid(u, SOFT), bcs=bcs)
+    problem = create_problem(u, (), bcs, SOFT)
     report = dm.newton(problem)
     assert (find_left_out(problem).largest > 0.05) == noted
     assert not told(report) and report.certificate.left_out_work < 0.5 * LARGEST_SHARE

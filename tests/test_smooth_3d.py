@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
-from dolfinx_mortar.mortar.mirrors import find_mirrors
+from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.two_bodies import create_problem, held
 from tests.choice import crosswise
@@ -107,7 +107,7 @@ def test_the_curvature_tells_mirrors_from_other_supports(name, cell, degree):
     fixed = np.zeros(surface.X.shape, dtype=bool)
     fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
     assert MPI.COMM_WORLD.allreduce(int(fixed[: surface.owned].sum())) == 8 * degree + 1
-    assert np.array_equal(find_mirrors(surface, fixed, 40.0), fixed & mirror)
+    assert np.array_equal(judge_supports(surface, fixed, 40.0)[0], fixed & mirror)
 
 
 def press_sphere(cell, degree, slave, *, half):

@@ -13,7 +13,7 @@ from tests.cases.close_fits import hold, rings
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
 from tests.cases.mortar import largest
-from tests.cases.shells import INNER, OUTER, RADIUS, lame_pressure, octants, to_arc, to_sphere
+from tests.cases.shells import INNER, OUTER, RADIUS, lame_pressure, to_arc, to_sphere
 from tests.cases.two_bodies import CELLS, create_problem, held
 from tests.choice import crosswise
 
@@ -124,22 +124,6 @@ def turned(V, tags):
     return [held(V, tags, INNER, given)]
 
 
-@pytest.mark.parametrize("slave", [2, 3])
-@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron", "hexahedron"])
-def test_a_rotation_strains_nothing(cell, slave):
-    """Neither tied rings nor octants of two spherical shells."""
-    if cell == "quadrilateral":
-        problem, _ = tied_rings(1, slave, turned)
-    else:
-        domain, tags = octants(COMM, RADII, (4, 5), 2, cell)
-        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
-        problem = create_problem(V, [dm.Tie(tags, slave=slave, master=5 - slave)], turned(V, tags))
-    dm.newton(problem, rtol=1e-10)
-    strain = ufl.sym(ufl.grad(problem.u))
-    square = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(strain, strain) * ufl.dx)))
-    assert np.sqrt(square) < 1e-12
-
-
 def free(V, tags):
     return hold(V, RADII[2])
 
@@ -177,28 +161,3 @@ def test_moments_balance_across_a_gap(cell):
         problem = create_problem(V, [tie], [held(V, tags, 1)], loads=loads)
         imbalance.append(dm.newton(problem).certificate.moment_balance)
     assert imbalance[0] < 1e-12 and imbalance[1] > 0.05
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("angle", [40.0, 10.0])
-def test_edges_of_tied_sides_keep_their_facets(angle):
-    """Facets that meet in 46 / 6 and 46 / 9 degrees are a curve, unless the angle says less."""
-    mesh, tags = sides(COMM, "quadrilateral", to_arc, jitter=0.0)
-    curved = jumps(couple(mesh, tags, feature_angle=angle), lambda x: x)[0]
-    sharp = jumps(couple(mesh, tags, feature_angle=5.0), lambda x: x)[0]
-    assert largest(sharp) > 50 * largest(curved)
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 1), (2, 2)])
-def test_straight_facets_of_curved_sides_spoil_second_order(degree, order):
-    """Pressures scatter on straight cells with degree 2 alone, and the audit says it."""
-    problem, tie = tied_rings(2, 3, free, 10.0, degree=degree, order=order)
-    spoilt = degree == 2 and order == 1
-    said = [w for w in problem.audit().warnings if "straight facets stand for curved" in w]
-    assert len(said) == spoilt
-    dm.newton(problem)
-    own = tie.gather(problem.u)["pressure"]
-    mean = COMM.allreduce(own.sum()) / COMM.allreduce(own.size)
-    scatter = np.sqrt(COMM.allreduce(((own - mean) ** 2).sum()) / COMM.allreduce(own.size))
-    assert (scatter > 0.01 * abs(mean)) == spoilt

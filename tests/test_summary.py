@@ -3,9 +3,6 @@
 
 import json
 from dataclasses import fields
-from pathlib import Path
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -13,12 +10,6 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.step_report import Iteration, StepReport
 from tests.cases.pressed_blocks import PressedBlocks
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """One folder for all ranks."""
-    return Path(MPI.COMM_WORLD.bcast(str(tmp_path)))
 
 
 def part(*increments, **options):

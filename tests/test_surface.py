@@ -12,7 +12,6 @@ from dolfinx_mortar.geometry.elements import QUAD4
 from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
 from dolfinx_mortar.mortar.surface import (
     _check_shapes,
-    accumulate,
     coordinates,
     create_surface,
     facets_at,
@@ -48,25 +47,6 @@ def test_facets_point_outwards_and_occur_once(cell, partition):
             expected = np.array([-np.sin(angle), np.cos(angle)])
             assert np.abs(normals - expected).max(initial=0) < 1e-13
     assert flux == pytest.approx(4.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("partition", PARTITIONS)
-def test_nodes_are_those_of_the_surface(partition):
-    """Every node of the surface has exactly one owner that knows it, also without a facet there."""
-    mesh, _, tags = two_blocks(COMM, (8, 2), (5, 2), partition=partition)
-    surface = create_surface(space(mesh), tags, 3, "slave")
-    assert (np.diff(surface.nodes) > 0).all()
-    assert (surface.nodes[: surface.owned] < surface.V.dofmap.index_map.size_local).all()
-    owned = np.concatenate(COMM.allgather(surface.X[: surface.owned]))
-    owned = owned[np.argsort(owned[:, 0])]
-    assert np.abs(owned - np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)).max() < 1e-14
-    used = np.unique(surface.facets)
-    assert set(range(surface.owned, len(surface.nodes))) <= set(used.tolist())
-    # sums over ranks: each node gets the number of its facets, whoever integrates them
-    count = np.bincount(surface.facets.ravel(), minlength=len(surface.nodes))
-    expected = np.where(np.abs(surface.X[:, 0] - 0.5) > 0.499, 1.0, 2.0)
-    both = accumulate(surface, np.stack([count, -count], axis=1))
-    assert (both == np.stack([expected, -expected], axis=1)).all()
 
 
 @pytest.mark.parametrize("partition", PARTITIONS)

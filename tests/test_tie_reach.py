@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.interfaces import tie as of_ties
 from dolfinx_mortar.persistence.checkpoints import describe, differences
 from tests.cases.block_piles import ABOVE, BELOW, Blocks
 from tests.cases.two_bodies import TwoBodies
@@ -129,21 +128,3 @@ def test_what_a_tie_says():
     assert shown[1] == shown[2] == "Tie(slave=3, master=4, within=0.1)"
     saved, *present = [describe(p.state) for p in problems[1:]]
     assert [len(differences(saved, other)) for other in present] == [0, 1]
-
-
-@pytest.mark.skipif(COMM.size == 1, reason="needs ranks that differ")
-@pytest.mark.mpi
-def test_ranks_that_differ():
-    with pytest.raises(ValueError, match=r"within differs between the ranks: 1.0 on rank 0"):
-        tied(within=1.0 + COMM.rank)
-
-
-@pytest.mark.parametrize("factor", [0.9, 1.2])
-def test_the_number(monkeypatch, factor):
-    """Smooth sides and deliberate gaps are far from it on either side: it does not decide them."""
-    monkeypatch.setattr(of_ties, "WITHIN", of_ties.WITHIN * factor)
-    arc = lambda x: np.column_stack(  # noqa: E731
-        [(2.0 + x[:, 1]) * np.sin(0.8 * x[:, 0]), (2.0 + x[:, 1]) * np.cos(0.8 * x[:, 0])]
-    )
-    for gap in (0.0, 0.2):
-        assert tied(gap=gap, transform=arc).audit().interfaces[0].kept_nodes == 5

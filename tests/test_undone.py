@@ -14,7 +14,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.condensed import Dense
-from dolfinx_mortar.qp.operator import FreePart
+from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
 from tests import tool_case
@@ -75,7 +75,7 @@ def test_a_first_step_that_fails_shows_nothing():
     case = PressedBlocks(cell="quadrilateral")
     law, contact = dm.VonMises(1000.0, 0.3, 5.0, 10.0), case.contact()
     solid = dm.Solid(case.u, law, eigenstrain=1e-2, volumetric="reduced")
-    problem = dm.ContactProblem(solid, [contact], bcs=case.bcs())
+    problem = case.problem([contact], law=solid)
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(problem, max_it=1, rtol=1e-12)
     assert not solid.stress.x.array.any() and solid.max("plastic_strain_norm") == 0.0
@@ -117,7 +117,7 @@ class Stopped:
         self.inertia = dm.Inertia(solid, 1e-3, velocity=(0.0, -0.5))
         terms = [self.counter, self.inertia][: 1 + in_time]
         self.tool = block.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=friction)
-        self.problem = dm.ContactProblem(solid, [self.tool], bcs=block.bcs(), terms=terms)
+        self.problem = block.problem([self.tool], solid, terms=terms)
 
     def run(self, count):
         times, at_time = self.times[:count], self.at_time
@@ -210,7 +210,7 @@ def test_a_step_in_time_is_tried_again_from_the_last_commit(tmp_path):
 
 
 CALLED_BY_PETSC = {
-    "active-set": [(Dense, "mult"), (FreePart, "mult")],
+    "active-set": [(Dense, "mult"), (Operator, "mult")],
     "interior-point": [(interior_point, "check")],
 }
 

@@ -28,6 +28,7 @@ from tests.cases.solid import (
     tag_facets,
     total,
 )
+from tests.cases.two_bodies import create_problem
 from tests.choice import quick
 
 pytestmark = pytest.mark.mpi
@@ -61,7 +62,7 @@ def test_patch(cell, kinematics):
     exact.interpolate(lambda x: strain @ x[:d])
     solid = dm.Solid(u, LAW, kinematics=kinematics, volumetric="reduced")
     boundary = hold(V, lambda x: np.full(x.shape[1], True), value=exact)
-    dm.newton(dm.ContactProblem(solid, bcs=[boundary]), rtol=1e-12)
+    dm.newton(create_problem(u, (), [boundary], solid), rtol=1e-12)
     assert largest(u.x.array - exact.x.array) < 1e-15
     full = dm.Solid(exact, LAW, kinematics=kinematics)
     full.evaluate()
@@ -120,8 +121,8 @@ def test_a_thick_cylinder_that_keeps_its_volume():
         bcs = rollers(V, [1], (0.0, 1.0))
         ds = ufl.Measure("ds", domain, subdomain_data=tags)
         loads = -10.0 * ufl.dot(ufl.FacetNormal(domain), ufl.TestFunction(V)) * ds(1)
-        solid = dm.Solid(u, dm.Elastic(E, nu), kinematics="axisymmetric", volumetric=volumetric)
-        dm.newton(dm.ContactProblem(solid, bcs=bcs, loads=loads), rtol=1e-10)
+        own = {"kinematics": "axisymmetric", "volumetric": volumetric, "loads": loads}
+        dm.newton(create_problem(u, (), bcs, dm.Elastic(E, nu), **own), rtol=1e-10)
         inside = fem.locate_dofs_topological(V, 1, tags.find(1))
         moved = np.linalg.norm(u.x.array.reshape(-1, 2)[inside], axis=1)
         found.append(largest(moved) / lame.displacement(1.0))
@@ -139,7 +140,7 @@ def punch(volumetric, n, depth):
     punched = hold(V, lambda x: plane(1)(x) & (x[0] < 1 + 1e-9), 1, push)
     under = punched.dof_indices()[0]
     bcs = [punched, *rollers(V, [0], (0.0, 5.0)), hold(V, plane(1, -3.0))]
-    problem = dm.ContactProblem(solid, bcs=bcs)
+    problem = create_problem(u, (), bcs, solid)
     pressures = []
     for _ in dm.load_steps(
         problem, depth * np.arange(1, 9) / 8, on_time=lambda t: push.value.fill(-t)

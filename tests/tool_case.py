@@ -7,6 +7,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 BASE, SIDE, TOP, AXIS = 1, 2, 3, 4
@@ -43,11 +44,7 @@ class Body:
 
     def hold(self, tag, axis=None, value=0.0):
         """Return a Dirichlet condition on a side, for all components or one."""
-        W = self.V if axis is None else self.V.sub(axis)
-        if axis is None and isinstance(value, float):
-            value = np.full(self.mesh.geometry.dim, value)
-        dofs = fem.locate_dofs_topological(W, self.facets.dim, self.facets.find(tag))
-        return fem.dirichletbc(value, dofs, W)
+        return held(self.V, self.facets, tag, value, axis)
 
     def bcs(self):
         """Clamp the base."""
@@ -59,10 +56,7 @@ class Body:
 
     def problem(self, interfaces, law=ELASTIC, **options):
         """Return the problem; strain and kinematics are those of `Solid`."""
-        names = "kinematics", "strain", "volumetric"
-        own = {name: options.pop(name) for name in names if name in options}
-        solid = dm.Solid(self.u, law, **own)
-        return dm.ContactProblem(solid, interfaces, bcs=self.bcs(), **options)
+        return create_problem(self.u, interfaces, options.pop("bcs", self.bcs()), law, **options)
 
     def press(self, tool, depth=DEPTH, rtol=1e-10, **options):
         """Lower a tool, or one of a shape; return tool, problem and report."""

@@ -8,6 +8,7 @@ Gmsh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
@@ -18,13 +19,10 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
     TaggedMesh,
-    distribute,
-    exterior_facets,
-    gmsh_model,
+    all_at,
     graded_octant,
-    name_parts,
-    read_cells,
-    set_graded_size,
+    mesh_by_gmsh,
+    two_bodies,
 )
 
 BLOCK_SIZE = 2.5  # half the edge of the block over the socket's radius
@@ -66,26 +64,21 @@ def ball_in_socket(
         block, (x, cells) = make[0](R, h[0]), make[1](r, h[1])
         return block, (x - [0.0, 0.0, R - r], cells)
 
-    mesh, first = distribute(comm, create, cell)
-    mesh.name = "socket"
-    in_block = mesh.topology.original_cell_index < first
-    facets, block_side, x = exterior_facets(mesh, in_block)
-    tolerance = HALF_OF_DIGITS * R
+    def sides(of_block: Bools, x: Floats) -> dict[str, Bools]:
+        def at(axis: int, position: float) -> Bools:
+            return all_at(x[:, :, axis], position, HALF_OF_DIGITS * R)
 
-    def at(axis: int, position: float) -> Bools:
-        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
+        flat = ~of_block & at(2, r - R)
+        return {
+            "bottom": of_block & at(2, -BLOCK_SIZE * R),
+            "flat": flat,
+            "socket": of_block & all_at(np.linalg.norm(x, axis=2), R, HALF_OF_DIGITS * R),
+            "sphere": ~of_block & ~flat,
+            "symmetry_x": at(0, 0.0),
+            "symmetry_y": at(1, 0.0),
+        }
 
-    from_centre = np.abs(np.linalg.norm(x, axis=2) - R).max(axis=1, initial=0.0)
-    flat = ~block_side & at(2, r - R)
-    sides = {
-        "bottom": block_side & at(2, -BLOCK_SIZE * R),
-        "flat": flat,
-        "socket": block_side & (from_centre < tolerance),
-        "sphere": ~block_side & ~flat,
-        "symmetry_x": at(0, 0.0),
-        "symmetry_y": at(1, 0.0),
-    }
-    return name_parts(mesh, in_block, ("block", "ball"), facets, sides)
+    return two_bodies(comm, create, cell, "socket", ("block", "ball"), sides)
 
 
 def _on_sphere(p: Floats) -> Floats:
@@ -112,31 +105,26 @@ def _block_of_hexahedra(R: float, h: float) -> Arrays:
 
 def _octant(gmsh: Any, r: float) -> tuple[int, int]:
     """Add an octant x, y >= 0, z <= 0 of a ball; the pole of its surface is away from contact."""
+    gmsh.option.setNumber("Mesh.Algorithm3D", 1)  # Delaunay
     part = (3, gmsh.model.occ.addSphere(0, 0, 0, r, -1, 0.0, np.pi / 2, np.pi / 2))
     gmsh.model.occ.rotate([part], 0, 0, 0, 0, 1, 0, np.pi / 2)
     return part
 
 
 def _ball_of_tetrahedra(r: float, h: float) -> Arrays:
-    with gmsh_model() as gmsh:
-        _octant(gmsh, r)
-        return _tetrahedra(gmsh, r, h)
+    return _tetrahedra(lambda gmsh: _octant(gmsh, r), r, h)
 
 
 def _block_of_tetrahedra(R: float, h: float) -> Arrays:
-    with gmsh_model() as gmsh:
+    def draw(gmsh: Any) -> None:
         edge = BLOCK_SIZE * R
         block = (3, gmsh.model.occ.addBox(0, 0, -edge, edge, edge, edge))
         gmsh.model.occ.cut([block], [_octant(gmsh, R)])
-        return _tetrahedra(gmsh, R, h)
+
+    return _tetrahedra(draw, R, h)
 
 
-def _tetrahedra(gmsh: Any, r: float, h: float) -> Arrays:
-    """Mesh the model; sizes grow from h around the point of contact (0, 0, -r)."""
-    gmsh.model.occ.synchronize()
-    points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
-    nearest = int(np.linalg.norm(points - [0.0, 0.0, -r], axis=1).argmin())
-    origin = gmsh.model.getEntities(0)[nearest][1]
-    set_graded_size(gmsh, origin, h, core=CORE * r, limit=COARSEST, beyond=BLOCK_SIZE * r)
-    gmsh.model.mesh.generate(3)
-    return read_cells(gmsh, "tetrahedron")
+def _tetrahedra(draw: Callable[[Any], Any], r: float, h: float) -> Arrays:
+    """Mesh a drawing; sizes grow from h around the point of contact (0, 0, -r)."""
+    ends = CORE * r, (CORE + BLOCK_SIZE) * r
+    return mesh_by_gmsh(draw, "tetrahedron", (0.0, 0.0, -r), (h, COARSEST * h), ends)

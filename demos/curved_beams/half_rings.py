@@ -7,13 +7,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.meshing.two_bodies import (
-    Arrays,
-    TaggedMesh,
-    distribute,
-    exterior_facets,
-    name_parts,
-)
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 LOWER = (10.0, 12.0)  # mm, radii of the half ring that stands on y = 0, about (12, 0)
 UPPER = (8.0, 10.0)  # mm, of the one that hangs from y = 17
@@ -37,25 +32,18 @@ def half_rings(comm: MPI.Intracomm, along: int = 50, across: int = 5) -> TaggedM
         lower = _half_ring(LOWER, (LOWER[1], 0.0), np.pi, along, across)
         return lower, _half_ring(UPPER, (LEFT, HEIGHT), 2 * np.pi, along, across)
 
-    mesh, first = distribute(comm, create, "quadrilateral")
-    mesh.name = "beams"
-    in_lower = mesh.topology.original_cell_index < first
-    facets, of_lower, x = exterior_facets(mesh, in_lower)
+    def sides(of_lower: Bools, x: Floats) -> dict[str, Bools]:
+        def outside(centre: tuple[float, float], radius: float) -> Bools:
+            return all_at(np.linalg.norm(x[:, :, :2] - centre, axis=2), radius, 1e-9)
 
-    def outside(centre: tuple[float, float], radius: float) -> np.ndarray:
-        away = np.linalg.norm(x[:, :, :2] - centre, axis=2)
-        return np.asarray(np.abs(away - radius).max(axis=1, initial=0.0) < 1e-9)
+        return {
+            "feet": of_lower & all_at(x[:, :, 1], 0.0, 1e-9),
+            "lower_arc": of_lower & outside((LOWER[1], 0.0), LOWER[1]),
+            "ends": ~of_lower & all_at(x[:, :, 1], HEIGHT, 1e-9),
+            "upper_arc": ~of_lower & outside((LEFT, HEIGHT), UPPER[1]),
+        }
 
-    def at(y: float) -> np.ndarray:
-        return np.asarray(np.abs(x[:, :, 1] - y).max(axis=1, initial=0.0) < 1e-9)
-
-    sides = {
-        "feet": of_lower & at(0.0),
-        "lower_arc": of_lower & outside((LOWER[1], 0.0), LOWER[1]),
-        "ends": ~of_lower & at(HEIGHT),
-        "upper_arc": ~of_lower & outside((LEFT, HEIGHT), UPPER[1]),
-    }
-    return name_parts(mesh, in_lower, ("lower", "upper"), facets, sides)
+    return two_bodies(comm, create, "quadrilateral", "beams", ("lower", "upper"), sides)
 
 
 def _half_ring(

@@ -7,14 +7,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.meshing.two_bodies import (
-    Arrays,
-    TaggedMesh,
-    distribute,
-    exterior_facets,
-    name_parts,
-)
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 BLOCK = (12.0, 4.0)  # mm, from the origin
 TOOL = (0.2, 1.4, 4.5, 5.4)  # mm: left, right, lower corners, top
@@ -32,22 +26,23 @@ def block_and_tool(comm: MPI.Intracomm, h: float = 0.15) -> TaggedMesh:
         comm: Communicator of the mesh.
         h: Length of the facets of both sides in mm; those of the block are some percent longer.
     """
-    mesh, first = distribute(comm, lambda: (_block(h), _tool(h)), "quadrilateral")
-    mesh.name = "ironing"
-    in_block = mesh.topology.original_cell_index < first
-    facets, of_block, x = exterior_facets(mesh, in_block)
 
-    def at(y: float) -> np.ndarray:
-        return np.asarray(np.abs(x[:, :, 1] - y).max(axis=1, initial=0.0) < 1e-9)
+    def sides(of_block: Bools, x: Floats) -> dict[str, Bools]:
+        def at(y: float) -> Bools:
+            return all_at(x[:, :, 1], y, 1e-9)
 
-    held = ~of_block & at(TOOL[3])
-    sides = {
-        "base": of_block & at(0.0),
-        "top": of_block & at(BLOCK[1]),
-        "underside": ~of_block & ~held,
-        "held": held,
-    }
-    return name_parts(mesh, in_block, ("block", "tool"), facets, sides)
+        held = ~of_block & at(TOOL[3])
+        return {
+            "base": of_block & at(0.0),
+            "top": of_block & at(BLOCK[1]),
+            "underside": ~of_block & ~held,
+            "held": held,
+        }
+
+    bodies = "block", "tool"
+    return two_bodies(
+        comm, lambda: (_block(h), _tool(h)), "quadrilateral", "ironing", bodies, sides
+    )
 
 
 def _block(h: float) -> Arrays:

@@ -10,13 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
-from dolfinx_mortar.meshing.two_bodies import (
-    Arrays,
-    TaggedMesh,
-    distribute,
-    exterior_facets,
-    name_parts,
-)
+from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 
 def tubes(
@@ -48,31 +42,29 @@ def tubes(
             _tube(radii[1], radii[2], length, cells[1]),
         )
 
-    mesh, first = distribute(comm, create, "hexahedron" if space else "quadrilateral")
-    mesh.name = "tubes"
-    in_first = mesh.topology.original_cell_index < first
-    facets, inner, x = exterior_facets(mesh, in_first)
-    radius: Floats = np.linalg.norm(x[:, :, :2], axis=2) if space else x[:, :, 0]
-    z = x[:, :, mesh.topology.dim - 1]
+    def sides(inner: Bools, x: Floats) -> dict[str, Bools]:
+        def on(values: Floats, at: float, size: float) -> Bools:
+            return all_at(values, at, HALF_OF_DIGITS * size)
 
-    def on(values: Floats, at: float, size: float) -> Bools:
-        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < HALF_OF_DIGITS * size)
+        a, c, b = radii
+        radius: Floats = np.linalg.norm(x[:, :, :2], axis=2) if space else x[:, :, 0]
+        z, none = x[:, :, 2 if space else 1], np.zeros_like(inner)
+        start, end = on(z, 0.0, length), on(z, length, length)
+        return {
+            "bore": on(radius, a, b),
+            "outside": on(radius, b, b),
+            "around_inner": on(radius, c, b) & inner,
+            "within_outer": on(radius, c, b) & ~inner,
+            "on_y": on(x[:, :, 0], 0.0, b) if space else none,
+            "on_x": on(x[:, :, 1], 0.0, b) if space else none,
+            "inner_start": start & inner,
+            "inner_end": end & inner,
+            "outer_start": start & ~inner,
+            "outer_end": end & ~inner,
+        }
 
-    a, c, b = radii
-    start, end, none = on(z, 0.0, length), on(z, length, length), np.zeros_like(inner)
-    sides = {
-        "bore": on(radius, a, b),
-        "outside": on(radius, b, b),
-        "around_inner": on(radius, c, b) & inner,
-        "within_outer": on(radius, c, b) & ~inner,
-        "on_y": on(x[:, :, 0], 0.0, b) if space else none,
-        "on_x": on(x[:, :, 1], 0.0, b) if space else none,
-        "inner_start": start & inner,
-        "inner_end": end & inner,
-        "outer_start": start & ~inner,
-        "outer_end": end & ~inner,
-    }
-    return name_parts(mesh, in_first, ("inner", "outer"), facets, sides)
+    cell = "hexahedron" if space else "quadrilateral"
+    return two_bodies(comm, create, cell, "tubes", ("inner", "outer"), sides)
 
 
 def _tube(inner: float, outer: float, length: float, cells: Sequence[int]) -> Arrays:

@@ -10,13 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
-from dolfinx_mortar.meshing.two_bodies import (
-    Arrays,
-    TaggedMesh,
-    distribute,
-    exterior_facets,
-    name_parts,
-)
+from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 
 def ring_section(
@@ -43,25 +37,22 @@ def ring_section(
         nothing = np.empty((0, 2)), np.empty((0, made[0][1].shape[1]), dtype=np.int64)
         return made[0], (made[1] if len(made) > 1 else nothing)
 
-    mesh, first = distribute(comm, create, cell)
-    mesh.name = "rings"
-    in_first = mesh.topology.original_cell_index < first
-    facets, inner, x = exterior_facets(mesh, in_first)
-    radius: Floats = np.linalg.norm(x, axis=2)
+    def sides(inner: Bools, x: Floats) -> dict[str, Bools]:
+        def on(values: Floats, at: float) -> Bools:
+            return all_at(values, at, HALF_OF_DIGITS * radii[-1])
 
-    def on(values: Floats, at: float) -> Bools:
-        return np.asarray(np.abs(values - at).max(axis=1, initial=0.0) < HALF_OF_DIGITS * radii[-1])
+        radius: Floats = np.linalg.norm(x, axis=2)
+        between = on(radius, radii[1]) if len(radii) == 3 else np.zeros_like(inner)
+        return {
+            "bore": on(radius, radii[0]),
+            "outside": on(radius, radii[-1]),
+            "around_inner": between & inner,
+            "within_outer": between & ~inner,
+            "on_y": on(x[:, :, 0], 0.0),
+            "on_x": on(x[:, :, 1], 0.0),
+        }
 
-    between = on(radius, radii[1]) if len(radii) == 3 else np.zeros_like(inner)
-    sides = {
-        "bore": on(radius, radii[0]),
-        "outside": on(radius, radii[-1]),
-        "around_inner": between & inner,
-        "within_outer": between & ~inner,
-        "on_y": on(x[:, :, 0], 0.0),
-        "on_x": on(x[:, :, 1], 0.0),
-    }
-    return name_parts(mesh, in_first, ("inner", "outer"), facets, sides)
+    return two_bodies(comm, create, cell, "rings", ("inner", "outer"), sides)
 
 
 def _ring(inner: float, outer: float, cells: tuple[int, int], cell: str) -> Arrays:

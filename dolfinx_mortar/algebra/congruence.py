@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import logging
 import weakref
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from petsc4py import PETSc
@@ -28,49 +27,60 @@ def as_aij(K: PETSc.Mat) -> PETSc.Mat:
     return K.convert("aij", out=PETSc.Mat())
 
 
-class Congruence:
-    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern."""
+class _Sum:
+    """Sum of matrices on the union of their first patterns; collective."""
 
-    def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        K, other = as_aij(K), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        self.Ct = C.transpose(PETSc.Mat())
-        self.KC = K.matMult(C)
-        self.CtKC = self.Ct.matMult(self.KC)
-        self.product = self.KC.duplicate(copy=True)
-        for part in (self.KC.transpose(PETSc.Mat()), self.CtKC, K):  # K last: one copy
-            self.product.axpy(1.0, part, other)
+    def __init__(self) -> None:
+        self._total: PETSc.Mat | None = None
 
-    def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Recompute on the same patterns; collective."""
-        K = as_aij(K)
-        C.transpose(self.Ct)
-        K.matMult(C, result=self.KC)
-        KCt = self.KC.transpose(PETSc.Mat())
-        self.Ct.matMult(self.KC, result=self.CtKC)
-        refill(self.product, (self.KC, KCt, self.CtKC, K))  # order of __init__: same round-off
-        KCt.destroy()
+    def fill(self, parts: Sequence[PETSc.Mat]) -> PETSc.Mat:
+        if self._total is None:
+            self._total = parts[0].duplicate(copy=True)
+            for part in parts[1:]:
+                self._total.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self._total.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            return self._total
+        self._total.zeroEntries()
+        for part in parts:
+            self._total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        return self._total
 
 
 class ProductOfBases:
-    """(I + C)^T A (I + D) in AIJ, for C and D with few rows, on a fixed pattern; collective.
+    """(I + C)^T A (I + D) in AIJ, for C and D with few rows, on fixed patterns; collective.
 
-    `update` computes the values.
+    For a sum A and nested factors.
     """
 
-    def __init__(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        self._Ct, self._AD = C.transpose(PETSc.Mat()), A.matMult(D)
-        self._right = union(self._AD, [A])
-        self._CtR = self._Ct.matMult(self._right)
-        self.product = union(self._CtR, [self._right])
-        self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+    def __init__(self) -> None:
+        self._sum, self._factors = _Sum(), list[_Factor]()
 
-    def update(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Compute on the fixed patterns; collective."""
+    def fill(
+        self, parts: Sequence[PETSc.Mat], bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]]
+    ) -> PETSc.Mat:
+        """Product, always the same matrix, for terms of A, and C and D from left to right."""
+        A = as_aij(parts[0])
+        if len(parts) > 1:
+            A = self._sum.fill([A, *parts[1:]])
+        for k, factors in enumerate(bases):
+            if k == len(self._factors):
+                self._factors.append(_Factor())
+            A = self._factors[k].fill(A, *factors)
+        return A
+
+
+class _Factor:
+    def __init__(self) -> None:
+        self._Ct, self._right, self._product = PETSc.Mat(), _Sum(), _Sum()
+        self._AD: PETSc.Mat | None = None
+        self._CtR: PETSc.Mat | None = None
+
+    def fill(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> PETSc.Mat:
         C.transpose(self._Ct)
-        A.matMult(D, result=self._AD)
-        refill(self._right, [self._AD, A])
-        self._Ct.matMult(self._right, result=self._CtR)
-        refill(self.product, [self._CtR, self._right])
+        self._AD = A.matMult(D, result=self._AD)
+        right = self._right.fill([self._AD, A])
+        self._CtR = self._Ct.matMult(right, result=self._CtR)
+        return self._product.fill([self._CtR, right])
 
 
 class ContextOf:
@@ -86,8 +96,8 @@ class ContextOf:
         return getattr(self._owner(), name)
 
 
-class _Decoupled(ABC):
-    """An operator without a matrix, decoupled at some unknowns.
+class OperatorOfBases:
+    """`ProductOfBases` without a matrix, decoupled at some unknowns.
 
     `scale` is the diagonal entry at decoupled unknowns, the mean of the `diagonal` (n,), which may
     be approximate.
@@ -96,42 +106,13 @@ class _Decoupled(ABC):
     def __init__(self, like: PETSc.Mat) -> None:
         self.decoupled: Ints = np.empty(0, dtype=np.int32)
         self.diagonal, self.scale = like.createVecRight(), 1.0
-        self._x = like.createVecRight()
+        self._parts: Sequence[PETSc.Mat] = []
+        self._bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]] = []
+        self._x, self._u, self._change = (like.createVecRight() for _ in range(3))
         self.matrix = PETSc.Mat().createPython(like.getSizes(), ContextOf(self), comm=like.comm)
         self.matrix.setUp()
 
-    @abstractmethod
-    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y, without decoupling; collective."""
-
-    def changed(self) -> None:
-        """Update PETSc's state and the scale; collective."""
-        self.scale = self.diagonal.sum() / self.diagonal.getSize()
-        self.matrix.stateIncrease()
-
-    # called by PETSc
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        x.copy(self._x)
-        self._x.array[self.decoupled] = 0.0
-        self.product(self._x, y)
-        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
-
-    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        self.diagonal.copy(d)
-        d.array[self.decoupled] = self.scale
-
-
-class OperatorOfBases(_Decoupled):
-    """`ProductOfBases` without a matrix, for a sum A and nested factors."""
-
-    def __init__(self, like: PETSc.Mat) -> None:
-        super().__init__(like)
-        self._parts: Sequence[PETSc.Mat] = []
-        self._bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]] = []
-        self._u, self._change = like.createVecRight(), like.createVecRight()
-
-    def follow(
+    def follow_bases(
         self,
         parts: Sequence[PETSc.Mat],
         bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]],
@@ -141,7 +122,8 @@ class OperatorOfBases(_Decoupled):
         """Set the terms of A, factors C and D from left to right, and the diagonal; collective."""
         self._parts, self._bases, self.decoupled = parts, bases, decoupled
         diagonal.copy(self.diagonal)
-        self.changed()
+        self.scale = diagonal.sum() / diagonal.getSize()
+        self.matrix.stateIncrease()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y, without decoupling; collective."""
@@ -149,27 +131,26 @@ class OperatorOfBases(_Decoupled):
         for _, D in reversed(self._bases):
             D.mult(self._u, self._change)
             self._u.axpy(1.0, self._change)
-        y.set(0.0)
-        for part in self._parts:
+        self._parts[0].mult(self._u, y)
+        for part in self._parts[1:]:
             part.multAdd(self._u, y, y)
         for C, _ in self._bases:
             C.multTranspose(y, self._change)
             y.axpy(1.0, self._change)
 
+    # called by PETSc
 
-def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
-    """Sum of matrices on the union of their patterns; collective."""
-    total = A.duplicate(copy=True)
-    for other in others:
-        total.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    return total
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y."""
+        x.copy(self._x)
+        self._x.array[self.decoupled] = 0.0
+        self.product(self._x, y)
+        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
 
-
-def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
-    """Sum of matrices, on parts of the pattern of `total`; collective."""
-    total.zeroEntries()
-    for part in parts:
-        total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
+        """Set d."""
+        self.diagonal.copy(d)
+        d.array[self.decoupled] = self.scale
 
 
 def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
@@ -198,7 +179,7 @@ class Halved:
         return self._half
 
 
-class CongruentOperator(_Decoupled):
+class CongruentOperator(OperatorOfBases):
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
     In 3D five times as fast as the matrix; `half` is K for products.
@@ -209,38 +190,26 @@ class CongruentOperator(_Decoupled):
         self.K, self.half = K, half or Halved(K)
         self.C: PETSc.Mat | None = None
         self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and the state of that K
-        self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
         """Set C (None for 0) and the decoupled owned unknowns, read the values of K; collective.
 
         The diagonal is that of the product with diag(K).
         """
-        self.C, self.decoupled = C, decoupled
+        self.C = C
         if self._state != int(self.K.stateGet()):
             self.K.getDiagonal(self._of_K)
             self._state = int(self.K.stateGet())
-        self._of_K.copy(self.diagonal)
+        diagonal = self._of_K.copy()
         if C is not None:
-            self._add_change(C)
-        self.changed()
-
-    def _add_change(self, C: PETSc.Mat) -> None:
-        start, columns, values = csr_of(C)
-        rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
-        terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]
-        self.diagonal.setValues(columns, terms, PETSc.InsertMode.ADD_VALUES)
-        self.diagonal.assemble()
-
-    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y, without decoupling; collective."""
-        if self.C is None:
-            self.half.factor.mult(x, y)
-            return
-        self.C.multAdd(x, x, self._moved)
-        self.half.factor.mult(self._moved, y)
-        self.C.multTranspose(y, self._moved)
-        y.axpy(1.0, self._moved)
+            start, columns, values = csr_of(C)
+            rows = np.repeat(np.arange(len(start) - 1), np.diff(start))
+            own = columns == rows + C.getOwnershipRange()[0]
+            terms = values * (values + 2.0 * own) * self._of_K.array_r[rows]
+            diagonal.setValues(columns, terms, PETSc.InsertMode.ADD_VALUES)
+            diagonal.assemble()
+        bases = [] if C is None else [(C, C)]
+        self.follow_bases([self.half.factor], bases, decoupled, diagonal)
 
     # called by PETSc
 
@@ -251,7 +220,7 @@ class CongruentOperator(_Decoupled):
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Explicit matrix; collective."""
         if self.C is not None:
-            explicit = Congruence(self.K, self.C).product
+            explicit = ProductOfBases().fill([self.K], [(self.C, self.C)])
         else:
             explicit = self.K.convert("aij", out=PETSc.Mat())
         decouple(explicit, self.decoupled, self.scale)

@@ -281,22 +281,6 @@ class BlockEntries:
         return total.ravel()
 
 
-class BlockSums:
-    """Matrix of the sums of blocks over all ranks, on a fixed pattern; collective."""
-
-    def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
-        self._entries = entries
-        self._sums = Triplets(comm, layout, entries.rows, entries.columns)
-
-    def zero(self) -> PETSc.Mat:
-        """Zero matrix; collective."""
-        return self._sums.zero()
-
-    def fill(self, parts: Sequence[Blocks]) -> PETSc.Mat:
-        """Sum of the parts; collective."""
-        return self._sums.fill(self._entries.sum(parts))
-
-
 class SumWithProducts:
     """A + sum_i B_i N_i over all ranks, on a fixed pattern; collective."""
 
@@ -308,9 +292,9 @@ class SumWithProducts:
         *products: tuple[BlockEntries, PETSc.Mat],
     ) -> None:
         self._A, rows, columns = A, [A.rows], [A.columns]
-        self._products: list[tuple[BlockSums, PETSc.Mat]] = []
+        self._products: list[tuple[SumWithProducts, PETSc.Mat]] = []
         for B, N in products:
-            sums = BlockSums(comm, layout, B)
+            sums = SumWithProducts(comm, layout, B)
             product = sums.zero().matMult(N)
             start, found, _ = csr_of(product)
             first, last = product.getOwnershipRange()

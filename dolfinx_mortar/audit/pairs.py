@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Proposed contacts between bodies."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,17 +16,17 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
 from dolfinx_mortar.arguments import POSITIVE, check, check_optional, instance
-from dolfinx_mortar.arrays import Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Ints, Longs
+from dolfinx_mortar.audit.audit import COARSE
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.audit.sides import Candidates, choose_roles
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
-from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.contact import SURFACES, Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.mortar.facing_bodies import (
     Facing,
     Skin,
     are_near,
+    boxes_of,
     check_angle,
     find_faces,
     find_facing,
@@ -198,7 +198,7 @@ class _Found:
     names: Sequence[str]
     entities: Longs
     faces: Longs  # (m,) of each exterior facet
-    sides: dict[tuple[int, int], _Side]
+    sides: list[_Side]
     joined: dict[tuple[str, str], int]
     common: Longs  # (sides, sides) shared nodes that face partners
 
@@ -220,8 +220,12 @@ def _find(
     names = _names(known, cell_tags)
     keys = known[:, 0] * count + known[:, 1]
     body_of_cell = np.searchsorted(keys, bodies[:, 0] * count + bodies[:, 1])
-    shared = _shared_nodes(V, body_of_cell, known[:, 1])
-    joined = {(names[a], names[b]): nodes for (a, b), nodes in shared.items()}
+    several = np.flatnonzero(np.bincount(known[:, 1])[known[:, 1]] > 1)
+    cells = V.dofmap.list[: len(body_of_cell)]
+    shared = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
+    joined = {
+        (names[several[a]], names[several[b]]): int(shared[a, b]) for a, b in np.argwhere(shared)
+    }
     told = f". {describe_joined(joined)}" if joined else ""
     if count == 1:
         raise ValueError(
@@ -230,7 +234,7 @@ def _find(
         )
 
     boundary = find_boundary(V)
-    facets, cells, entities = boundary.facets, boundary.cells, boundary.entities
+    facets, cells = boundary.facets, boundary.cells
     body = body_of_cell[cells].astype(np.int64)
     faces = find_faces(V, facets, boundary.nodes, body, feature_angle)
     label = np.column_stack([body, faces])
@@ -238,56 +242,32 @@ def _find(
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
         _raise_none(_sides(comm, facing), names, within, told)
-    numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
-    return _Found(names, numbers, faces, sides, joined, common)
-
-
-def _facing_nodes(
-    V: fem.FunctionSpace, nodes: Ints, facing: Facing, sides: dict[tuple[int, int], _Side]
-) -> Longs:
-    """Numbers (s, s) of common nodes where sides face their partners; collective."""
-    bodies, faces = facing.label[:, :, 0], facing.label[:, 0, 1]
     seen = []
-    for side in sides.values():
-        of = (bodies == [side.body, side.other]).all(axis=1) & np.isin(faces, list(side.faces))
-        seen.append(nodes[facing.facet[of]])
-    return _common_nodes(V, seen)
-
-
-def _shared_nodes(
-    V: fem.FunctionSpace, body_of_cell: Longs, part: Longs
-) -> dict[tuple[int, int], int]:
-    several = np.flatnonzero(np.bincount(part)[part] > 1)
-    cells = V.dofmap.list[: len(body_of_cell)]
-    common = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
-    return {(int(several[a]), int(several[b])): int(common[a, b]) for a, b in np.argwhere(common)}
+    for side in sides:
+        of = (facing.label[:, :, 0] == [side.body, side.other]).all(axis=1)
+        of &= np.isin(facing.label[:, 0, 1], list(side.faces))
+        seen.append(boundary.nodes[facing.facet[of]])
+    entities = boundary.entities.astype(np.int64)
+    return _Found(names, entities, faces, sides, joined, _common_nodes(V, seen))
 
 
 def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
-    if not sets:
-        return np.zeros((0, 0), dtype=np.int64)
-    layout, comm, on = V.dofmap.index_map, V.mesh.comm, []
-    for local in sets:
+    """Numbers (sets, sets) of common nodes; collective."""
+    layout, comm = V.dofmap.index_map, V.mesh.comm
+    on = np.zeros((layout.size_local, len(sets)))
+    for k, local in enumerate(sets):
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
-        found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
-        on.append(scipy.sparse.csr_array(found.astype(np.int64)[None]))
-    rows = scipy.sparse.vstack(on)
-    return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
+        on[:, k] = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
+    return np.asarray(comm.allreduce(on.T @ on, op=MPI.SUM)).astype(np.int64)
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
+    """Part (cells,) of owned cells, numbered in the order of coordinates, and their number."""
     bodies = find_bodies(V)
-    d = V.mesh.geometry.dim
-    x = V.tabulate_dof_coordinates()[: len(bodies.label), :d]
-    boxes = np.full((bodies.count, 2, d), np.inf)
-    np.minimum.at(boxes[:, 0], bodies.label, x)
-    np.minimum.at(boxes[:, 1], bodies.label, -x)
-    V.mesh.comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
-    size = np.bincount(bodies.label, minlength=bodies.count)
-    size = V.mesh.comm.allreduce(size, op=MPI.SUM)
-    columns = np.column_stack([boxes[:, 0], -boxes[:, 1], size])
+    x = V.tabulate_dof_coordinates()[: len(bodies.label), : V.mesh.geometry.dim]
+    boxes = boxes_of(V.mesh.comm, x[:, None], bodies.label.astype(np.int64), bodies.count)
     place = np.empty(bodies.count, dtype=np.int64)
-    place[np.lexsort(columns.T[::-1])] = np.arange(bodies.count)
+    place[np.lexsort(boxes.reshape(bodies.count, -1).T[::-1])] = np.arange(bodies.count)
     return place[bodies.of_cells], bodies.count
 
 
@@ -303,27 +283,24 @@ def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
     return names
 
 
-def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
-    key = np.column_stack([facing.label[:, :, 0], facing.label[:, :, 1]])
-    own, which = np.unique(key, axis=0, return_inverse=True)
-    columns = facing.area, *facing.size.T, np.ones(len(key))
-    sums = [np.bincount(which.ravel(), column, len(own)) for column in columns]
-    least = np.full(len(own), np.inf)
-    np.minimum.at(least, which.ravel(), facing.distance)
-    one = np.concatenate(comm.allgather(np.column_stack([own, *sums, least])))
-    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # with both bodies exchanged
-    other[:, 4] = 0.0
-    sides, rows = {}, np.concatenate([one, other])
-    for a, b in np.unique(rows[:, :2].astype(int), axis=0).tolist():
-        part = rows[(rows[:, :2] == [a, b]).all(axis=1)]
-        area, size, size_b, count = part[:, 4:8].sum(axis=0).tolist()
-        sizes, faces = (size / count, size_b / count), frozenset(part[:, 2].astype(int).tolist())
-        sides[a, b] = _Side(a, b, faces, area, float(part[:, 8].min()), sizes)
+def _sides(comm: MPI.Intracomm, facing: Facing) -> list[_Side]:
+    """Sides that face each other, by their bodies; collective."""
+    turned, none = (facing.label[:, ::-1], facing.size[:, ::-1]), np.zeros(len(facing.area))
+    rows = [
+        np.column_stack([label[:, :, 0], label[:, 0, 1], size, area, facing.distance])
+        for label, size, area in ((facing.label, facing.size, facing.area), (*turned, none))
+    ]
+    table = np.concatenate(comm.allgather(np.concatenate(rows)))
+    sides = []
+    for a, b in np.unique(table[:, :2].astype(int), axis=0).tolist():
+        part = table[(table[:, :2] == [a, b]).all(axis=1)]
+        faces, sizes = frozenset(part[:, 2].astype(int).tolist()), part[:, 3:5].mean(axis=0)
+        sides.append(_Side(a, b, faces, part[:, 5].sum(), part[:, 6].min(), tuple(sizes)))
     return sides
 
 
 def _raise_none(
-    sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
+    sides: Sequence[_Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
@@ -332,7 +309,7 @@ def _raise_none(
             f"{none}, or at all, or they overlap by more than half of the thinner one: check the "
             f"mesh, or tag the sides by hand{told}"
         )
-    near = min(sides.values(), key=lambda side: (abs(side.distance), side.body, side.other))
+    near = min(sides, key=lambda side: (abs(side.distance), side.body, side.other))
     who = f"{names[near.body]!r} and {names[near.other]!r}"
     raise ValueError(
         f"{none}. The nearest, {who}, are {near.distance:.4g} apart: give a larger within={told}"
@@ -340,68 +317,124 @@ def _raise_none(
 
 
 def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pairs:
-    groups = _groups(found)
-    tag_of_face = {face: tag for tag, (_, faces) in enumerate(groups, start=1) for face in faces}
-    tags: Longs = np.array([tag_of_face.get(int(f), 0) for f in found.faces], np.int64)
+    names, tag_of_side = _tags_of_sides(found)
+    tags = np.zeros(len(found.faces), dtype=np.int32)
+    for side, tag in zip(found.sides, tag_of_side, strict=True):
+        tags[np.isin(found.faces, list(side.faces))] = tag
     on, mesh = np.flatnonzero(tags), V.mesh
-    entities = found.entities[on].astype(np.int32)
-    order = np.argsort(entities)
-    marks = meshtags(mesh, mesh.topology.dim - 1, entities[order], tags[on][order].astype(np.int32))
-    named = Tags(marks, {name: tag for tag, (name, _) in enumerate(groups, start=1)})
+    on = on[np.argsort(found.entities[on])]
+    marks = meshtags(mesh, mesh.topology.dim - 1, found.entities[on].astype(np.int32), tags[on])
+    named = Tags(marks, {name: tag for tag, name in enumerate(names, start=1)})
     named.name = "pairs"
-    counts = mesh.comm.allreduce(np.bincount(tags, minlength=len(groups) + 1), op=MPI.SUM)
-
-    contacts, rows = [], []
-    chosen, lost = _choose_slaves(found, tag_of_face)
-    for slave, master in chosen:
-        at = [tag_of_face[next(iter(side.faces))] for side in (slave, master)]
-        names = [groups[tag - 1][0] for tag in at]
-        contacts.append(Contact(named, slave=names[0], master=names[1], **options))
-        facets = int(counts[at[0]]), int(counts[at[1]])
-        rows.append(Pair(names[0], names[1], facets, slave.sizes, slave.area, slave.distance))
+    counts = mesh.comm.allreduce(np.bincount(tags, minlength=len(names) + 1), op=MPI.SUM)
+    number = {(side.body, side.other): k for k, side in enumerate(found.sides)}
+    ends = np.array([[k, number[b, a]] for (a, b), k in number.items() if a < b])
+    roles = _choose_roles(found, tag_of_side, ends)
+    contacts, rows, who = [], [], []
+    for k in np.take_along_axis(ends, np.stack([roles.slave, 1 - roles.slave], axis=1), axis=1):
+        (slave, master), at = (found.sides[i] for i in k), tag_of_side[k]
+        one, other = (names[tag - 1] for tag in at)
+        contacts.append(Contact(named, slave=one, master=other, **options))
+        sizes = tuple(counts[at].tolist()), slave.sizes
+        rows.append(Pair(one, other, *sizes, slave.area, slave.distance))
+        who.append([found.names[i] for i in (slave.body, master.body)])
+    lost = [
+        f"{who[k][0]!r} as slave of {who[k][1]!r} loses {_nodes(count)} to its contact with "
+        f"{who[i][1]!r}, {REFINE}"
+        for (i, k), count in roles.twice.items()
+    ]
+    lost += [
+        f"{who[k][0]!r} as slave of {who[k][1]!r} loses {_nodes(count)} that would close a cycle "
+        f"with {who[i][0]!r} as slave of {who[i][1]!r}, {REFINE}"
+        for (i, k), count in roles.cyclic.items()
+    ]
     return Pairs(named, contacts, rows, found.joined, lost)
 
 
-def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
-    """Name and faces of each tag; sides of a body with common faces are merged."""
-    groups: list[tuple[int, list[int], frozenset[int]]] = []
-    for side in found.sides.values():
-        others, faces, rest = [side.other], side.faces, []
-        for group in groups:
-            if group[2] & faces:
-                others, faces = group[1] + others, group[2] | faces
-            else:
-                rest.append(group)
-        groups = [*rest, (side.body, others, faces)]
-    return [
-        (f"{found.names[body]} to {', '.join(found.names[k] for k in sorted(others))}", faces)
-        for body, others, faces in sorted(groups, key=lambda g: (g[0], min(g[1])))
+def _tags_of_sides(found: _Found) -> tuple[list[str], Longs]:
+    """Name of each tag, and tag of each side; sides of a body with common faces are merged."""
+    sides = found.sides
+    common = [[bool(one.faces & other.faces) for other in sides] for one in sides]
+    _, label = scipy.sparse.csgraph.connected_components(scipy.sparse.coo_array(common))
+    groups = [[side for side, k in zip(sides, label, strict=True) if k == n] for n in set(label)]
+    order = sorted(groups, key=lambda group: (group[0].body, min(min(s.faces) for s in group)))
+    tags = [1 + k for side in sides for k, group in enumerate(order) if side in group]
+    names = [
+        f"{found.names[group[0].body]} to {', '.join(found.names[side.other] for side in group)}"
+        for group in order
     ]
+    return names, np.array(tags)
 
 
 def _nodes(count: int) -> str:
     return f"{count} node{'s' * (count > 1)}"
 
 
-def _choose_slaves(
-    found: _Found, tag_of_face: Mapping[int, int]
-) -> tuple[list[tuple[_Side, _Side]], list[str]]:
-    place = {key: k for k, key in enumerate(found.sides)}
-    keys = [(a, b) for a, b in found.sides if a < b]
-    pairs = [(found.sides[a, b], found.sides[b, a]) for a, b in keys]
-    numbers = np.array([[place[a, b], place[b, a]] for a, b in keys], dtype=np.int64)
-    sizes = np.array([one.sizes for one, _ in pairs])
-    tags = np.array([tag_of_face[next(iter(side.faces))] for side in found.sides.values()])
-    roles = choose_roles(Candidates(numbers, sizes, tags, found.common))
-    chosen = [(pair[k], pair[1 - k]) for pair, k in zip(pairs, roles.slave, strict=True)]
-    who = [f"{found.names[s.body]!r} as slave of {found.names[m.body]!r}" for s, m in chosen]
-    lost = [
-        f"{who[other]} loses {_nodes(count)} to its contact with "
-        f"{found.names[chosen[one][1].body]!r}, {REFINE}"
-        for (one, other), count in roles.twice.items()
-    ]
-    lost += [
-        f"{who[other]} loses {_nodes(count)} that would close a cycle with {who[one]}, {REFINE}"
-        for (one, other), count in roles.cyclic.items()
-    ]
-    return chosen, lost
+@dataclass(frozen=True, eq=False)
+class _Roles:
+    """Slave sides, and slave nodes that lose a constraint."""
+
+    slave: Longs  # (p,) 0 or 1: index of the slave
+    twice: dict[tuple[int, int], int]  # slave nodes of two pairs, lost by the second
+    # nodes of the second pair that would close a cycle with the first
+    cyclic: dict[tuple[int, int], int]
+    cost: tuple[float, ...]
+
+
+def _choose_roles(found: _Found, tags: Longs, ends: Longs) -> _Roles:
+    """Finer sides as slaves, then the best turn of one pair each; with sides ``ends`` (p, 2).
+
+    A node is the slave in one contact only; contacts must not need each other's slave nodes in a
+    cycle (`interfaces.basis`).
+    """
+    sizes = np.array([found.sides[one].sizes for one, _ in ends])
+    finer = (sizes[:, 1] < sizes[:, 0] * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
+    best, before = _assess(found, tags, ends, finer), None
+    while best is not before:
+        before = best
+        turns = (before.slave ^ one for one in np.eye(len(ends), dtype=np.int64))
+        turned = [before, *(_assess(found, tags, ends, slave) for slave in turns)]
+        best = min(turned, key=lambda roles: roles.cost)
+    return best
+
+
+def _assess(found: _Found, tags: Longs, ends: Longs, slave: Longs) -> _Roles:
+    """Losses of constraints.
+
+    The cost is, most important first, the number of slaves `COARSE` times coarser than masters, of
+    slave faces with two masters at a node, the shares of slave sides lost by cycles, those of other
+    nodes with two masters, and how coarse slaves are.
+    """
+    p = np.arange(len(slave))
+    slaves, masters = ends[p, slave], ends[p, 1 - slave]
+    size = np.maximum(found.common[slaves, slaves], 1)
+    shared = np.triu(found.common[np.ix_(slaves, slaves)], 1)
+    straddling = shared * (tags[slaves][:, None] == tags[slaves])
+    twice = {(int(i), int(k)): int(shared[i, k]) for i, k in np.argwhere(shared)}
+    cyclic = _close_cycles(found.common[np.ix_(masters, slaves)])
+    sizes = np.array([found.sides[k].sizes for k in slaves])
+    ratio = sizes[:, 0] / sizes[:, 1]
+    cost = (
+        float((ratio > COARSE).sum()),
+        float((straddling > 0).sum()),
+        sum(nodes / size[k] for (_, k), nodes in cyclic.items()),
+        float(((shared - straddling) / size).sum()),
+        float(np.log(ratio).clip(min=0.0).sum()),
+    )
+    return _Roles(slave, twice, cyclic, tuple(float(np.rint(c / HALF_OF_DIGITS)) for c in cost))
+
+
+def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
+    """Entries (i, k), i < k, without which no pair needs itself."""
+    _, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array(needed), directed=True, connection="strong"
+    )
+    some = [(int(i), int(k)) for i, k in np.argwhere(needed * (label[:, None] == label))]
+    needs: Bools = np.eye(len(needed), dtype=bool)
+    removed = {}
+    for i, k in sorted(some, key=lambda ends: (max(ends), ends[0] < ends[1])):
+        if needs[k, i]:
+            removed[i, k] = int(needed[i, k])
+        else:
+            needs |= np.outer(needs[:, i], needs[k])
+    return removed

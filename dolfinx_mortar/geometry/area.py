@@ -24,7 +24,6 @@ from dolfinx_mortar.geometry.moments import (
     Sides,
     Sums,
     create_points,
-    functions,
     sums,
     turns,
 )
@@ -32,14 +31,13 @@ from dolfinx_mortar.geometry.plane import (
     VERTICES,
     count,
     create_planes,
-    first_order,
     height_at,
     inverse,
     on_facets,
-    on_reference,
     pairs_of_parts,
     parts_of,
     project,
+    reference_parts,
     slopes,
 )
 from dolfinx_mortar.geometry.tolerances import KERNEL, ROUND_OFF
@@ -349,17 +347,6 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
-    if t == 0 or t == len(corners) or which[t - 1] != which[t]:
-        return False
-    same = True
-    for h in range(2):
-        same = same and corners[t - 1, 0, h] == corners[t, 0, h]
-        same = same and corners[t - 1, 2, h] == corners[t, 1, h]
-    return same
-
-
-@numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
     """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
@@ -370,8 +357,6 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
         for e in range(3):
-            if e != 1 and _is_next(corners, which, t + e // 2):
-                continue
             line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
             if line[2] < 0:
                 line = _nearest_line(corners[t], e, M, r, line)
@@ -452,15 +437,15 @@ def _create(
     if slave.element.part or master.element.part:
         on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
         xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
-        weight *= slave.element.size / (a * (slave.element.part or slave.element).size)
+        weight *= slave.element.size / (a * slave.element.first.size)
     lost = np.isnan(xi_m[:, 0])
     xi_m[lost], weight[lost] = 0.0, 0.0
     xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
     facet, pair = part // a, over.of[which]
     nodes = slave.x[facet], master.x[pair]
     points = create_points(
-        functions(slave.element, xi_s),
-        functions(master.element, xi_m)[:2],
+        slave.element.functions(xi_s),
+        master.element.functions(xi_m)[:2],
         nodes,
         weight.reshape(shape[:2]),
         (given.factor[facet], given.reach[facet]),
@@ -517,11 +502,11 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     """
     at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
     (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
-    N, dN, ddN = (sums(v, E) for v in functions(over.parts.element, inner.xi))
+    N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
     V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
     K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
-    c = on_reference(slave)[inner.part % count(slave)][:, :2]
-    B = c[:, None, :, [3, 1]] @ K  # xi of the facet change by -B dx
+    slopes = slave.first.functions(slave.points[:1])[1] @ reference_parts(slave)  # (parts, 2, 2)
+    B = slopes[inner.part % count(slave), None].swapaxes(2, 3) @ K  # xi of the facet: -B dx
     by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
     by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
     by_x[:, :, :2] = -B[..., None, :] * N
@@ -601,9 +586,6 @@ def place_points(
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """See `line.place_points`; folded facets cover nothing."""
     least = _least_degree(slave.element, master.element)
-    simple_s, simple_m = first_order(slave), first_order(master)
-    if simple_s is not None and simple_m is not None:
-        slave, master = simple_s, simple_m
     over = _find_overlaps(slave, master, pairs, deepest)
     at, triangles = (*over.sides, *over.planes), (over.which, over.corners)
     rule = _choose_rules(*at[:-1], *triangles, least)

@@ -107,7 +107,7 @@ def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, or
     zero at edges. Nodes are (m, k).
     """
-    a, b = node_pairs(first_order(facets.element))
+    a, b = node_pairs(facets.element.first)
     at_a, at_b = (normals.n[nodes[:, end]] for end in (a, b))
     regular, sharp = normals.regular[nodes][..., None], normals.sharp[nodes][..., None]
     result = at_b - at_a
@@ -137,7 +137,7 @@ def own_curvatures(facets: Facets) -> Floats:
     element, (m, k, d) = facets.element, facets.x.shape
     middle = element.points[list(element.vertices)].mean(axis=0)[None]
     n = unit(scaled_normals(facets, middle)[:, 0])
-    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.derivatives(middle)[0])
+    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.functions(middle)[1][0].T)
     x = facets.x - facets.x.mean(axis=1, keepdims=True)
     y, w = x @ np.swapaxes(to_y, 1, 2), np.einsum("mki,mi->mk", x, n)
     i, j = np.triu_indices(d - 1)
@@ -173,7 +173,7 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
     change = at_vertices - K[:, None]
     size, largest = (np.linalg.norm(part, axis=(-2, -1)) for part in (K, change))
     share = np.maximum(1.0 - 2.0 * largest.max(axis=1) / np.maximum(size, TINY), 0.0)
-    halfway = element.vertex_functions((element.points[a] + element.points[b]) / 2)
+    halfway = element.first.shape_functions((element.points[a] + element.points[b]) / 2)
     along = np.einsum("mvij,mei,mej->mve", change, e, e)
     own = np.einsum("mij,mei,mej->me", K, e, e)
     return np.asarray(own + 2.0 / 3.0 * share[:, None] * np.einsum("ev,mve->me", halfway, along))
@@ -301,19 +301,14 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
 
 def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
     """Edges x_b - x_a (m, e, d) for the pairs of vertices, or of nodes of `element`."""
-    a, b = node_pairs(element or first_order(facets.element))
+    a, b = node_pairs(element or facets.element.first)
     return np.asarray(facets.x[:, b] - facets.x[:, a])
-
-
-def first_order(element: FacetElement) -> FacetElement:
-    """The type of straight facets with these vertices."""
-    return element.part or element
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:
     """The type with the functions N_a of heights."""
-    first = first_order(element)
-    return first if sagitta.shape[1] == len(node_pairs(first)[0]) else element
+    few = sagitta.shape[1] == len(node_pairs(element.first)[0])
+    return element.first if few else element
 
 
 def node_pairs(element: FacetElement) -> tuple[list[int], list[int]]:

@@ -87,10 +87,10 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     >>> (25 * g).tolist(), (5 * n).tolist()
     ([[[3.0, 4.0], [-3.0, -4.0]]], [[-4.0, 3.0]])
     """
-    dN = facets.element.derivatives(xi)
-    dual, normal = dual_basis(np.swapaxes(dN, 1, 2) @ facets.x[which])
+    dN = facets.element.functions(xi)[1]
+    dual, normal = dual_basis(dN @ facets.x[which])
     size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
-    return np.asarray(dN @ dual), np.asarray(normal / size[:, None])
+    return np.swapaxes(dN, 1, 2) @ dual, np.asarray(normal / size[:, None])
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
@@ -140,8 +140,8 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
     """Normals (m, q, d) at xi (q, d-1), as long as the Jacobian; means are areas."""
-    dN = facets.element.derivatives(xi)
-    return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
+    dN = facets.element.functions(xi)[1]
+    return facets.element.size * _normals(np.einsum("qak,mki->mqai", dN, facets.x))
 
 
 def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Flat facets, lines and triangles: distances, overlaps, passing points, thickness."""
 
-from itertools import chain
-
 import numpy as np
-import scipy
 
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
@@ -16,7 +13,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     unit,
 )
-from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
+from dolfinx_mortar.geometry.segments import Cones, are_facing, as_cones, find_meeting
 
 
 def distances(a: Floats, b: Floats) -> Floats:
@@ -154,29 +151,13 @@ def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
 
     Of groups (m,) to be compared by `apart` (groups, groups), symmetric.
     """
+    balls = bounding_balls(x)
     low, high = bounds(x)
-    centre, half = (low + high) / 2, (high - low) / 2
-    size = np.frexp(half.max(axis=1, initial=0.0))[1]
-    found = [np.zeros((0, 2), dtype=np.int64)]
-    for power, one in np.unique(np.stack([size, group], axis=1), axis=0):
-        larger = np.flatnonzero((size == power) & (group == one))
-        once = (size < power) | ((size == power) & (group >= one))
-        within = (low <= high[larger].max(axis=0)) & (high >= low[larger].min(axis=0))
-        smaller = np.flatnonzero(once & apart[one, group] & within.all(axis=1))
-        if len(smaller) == 0:
-            continue
-        unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
-        unit = np.maximum(unit, HALF_OF_DIGITS * np.maximum(unit.max(), TINY))
-        tree = scipy.spatial.cKDTree(centre[larger] / unit)
-        reach = 1.0 + HALF_OF_DIGITS  # round-off
-        near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
-        counts = [len(b) for b in near]
-        a = np.repeat(smaller, counts)
-        b = larger[np.fromiter(chain.from_iterable(near), np.int64, sum(counts))]
-        meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
-        meet &= (size[a] < power) | (group[a] != one) | (a < b)
-        found.append(np.stack([a[meet], b[meet]], axis=1))
-    return np.concatenate(found)
+    a, b = find_meeting(as_cones(*balls), *balls).T.astype(np.int64)
+    meet = (a < b) & apart[group[a], group[b]]
+    a, b = a[meet], b[meet]
+    meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
+    return np.stack([a[meet], b[meet]], axis=1)
 
 
 def flat_parts(facets: Facets) -> Floats:
@@ -209,14 +190,8 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
         return np.zeros(0, dtype=np.int64)
     carried = (x[1] - x[0]).mean(axis=(0, 1))  # the common translation
     p, x = (p[0], p[1] - carried), (x[0], x[1] - carried)
-    middle = (x[0] + x[1]).mean(axis=1) / 2
-    reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
-    way = np.linalg.norm(p[1] - p[0], axis=1)
-    near = scipy.spatial.cKDTree(middle).query_ball_point(
-        (p[0] + p[1]) / 2, way / 2 + reach * (1 + HALF_OF_DIGITS)
-    )
-    a = np.repeat(np.arange(len(near)), [len(b) for b in near])
-    b = np.concatenate([np.array(b, dtype=np.int64) for b in near])
+    ways, parts = (bounding_balls(v) for v in (np.stack(p, axis=1), np.concatenate(x, axis=1)))
+    a, b = find_meeting(as_cones(*ways), *parts).T
     element = LINE2 if x[0].shape[2] == 2 else TRI3
     normals = [facet_normals(Facets(element, y)) for y in x]
     d0, d1 = (((p[k][a] - x[k][b, 0]) * normals[k][b]).sum(axis=1) for k in (0, 1))
@@ -225,7 +200,8 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     t = (d0[crossing] / (d0 - d1)[crossing])[:, None]
     at = p[0][a] + t * (p[1][a] - p[0][a])
     facets = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
-    return np.unique(a[are_inside(facets, facet_normals(Facets(element, facets)), at)])
+    passing = are_inside(facets, facet_normals(Facets(element, facets)), at)
+    return np.unique(a[passing]).astype(np.int64)
 
 
 def thickness(facets: Facets, others: Facets) -> Floats:

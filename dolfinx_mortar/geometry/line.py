@@ -17,7 +17,7 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, functions, turns
+from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, turns
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 
@@ -188,8 +188,8 @@ def moments(
     xi, eta, _ = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
     on, half, n = of[which], np.diff(ends)[:, :, None] / 2, n[of[which]]
     at = create_points(
-        functions(slave, xi),
-        functions(master, eta)[:2],
+        slave.functions(xi),
+        master.functions(eta)[:2],
         (x[on], Y[which]),
         weights * half[..., 0],
         (factor[on], reach[on]),
@@ -227,7 +227,7 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    N, dN, _ = functions(slave, ends[..., None])
+    N, dN, _ = slave.functions(ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
     best = off.argmin(axis=2)[..., None]

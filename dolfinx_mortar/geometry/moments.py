@@ -95,16 +95,6 @@ def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, 
     return v @ f, changes
 
 
-def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats]:
-    """Functions N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k), ddN (s, q, d-1, d-1, k)."""
-    (s, q, e), k = xi.shape, element.nodes
-    one, both = np.ones(s * q), xi.reshape(-1, e).T
-    powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
-    found = element.slopes @ (powers[0][:, None] * powers[1]).reshape(9, -1)
-    N, first, second = np.split(found.T.reshape(s, q, len(found)), [k, k + k * e], axis=2)
-    return N, first.reshape(s, q, e, k), second.reshape(s, q, e, e, k)
-
-
 def sums(N: Floats, x: Floats) -> Floats:
     """Sums of N_k x_k (s, q, .., d) for N (s, q, .., k) and nodes x (s, k, d)."""
     rows = N.reshape(len(x), math.prod(N.shape[1:-1]), x.shape[1])
@@ -116,7 +106,7 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
 
     At the centre, by the vertices.
     """
-    part = element.part or element
+    part = element.first
     xi = part.points[list(part.vertices)].mean(axis=0)
     corners = Facets(part, x[:, : part.nodes])
     which = np.arange(len(x), dtype=np.int32)
@@ -148,7 +138,7 @@ def create_points(
     """Points of pairs of facets.
 
     Args:
-        slave: N, dN, ddN of `functions`.
+        slave: N, dN, ddN of `FacetElement.functions`.
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
         weight: (s, q) on the slave's reference facet.
@@ -197,7 +187,7 @@ def whole(
     For weights (p, q) on the reference facet, distances phi (p, q) and derivatives (p, q, k, d) at
     xi; H = -int N_j phi.
     """
-    N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
+    N, dN, _ = (v[0] for v in facets.element.functions(xi[None]))
     dual, normal = dual_basis(dN @ facets.x[:, None])
     v = (weights * np.linalg.norm(normal, axis=2))[..., None] * N
     by_w = (np.swapaxes(dN, 1, 2) @ dual).reshape(*phi.shape, dN.shape[2] * dual.shape[3])

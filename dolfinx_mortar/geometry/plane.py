@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, facet_sizes, unit
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, dual_basis, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -30,22 +30,6 @@ def parts_of(facets: Facets) -> Facets:
     return Facets(element.part, np.ascontiguousarray(x.reshape(-1, *x.shape[2:])))
 
 
-def first_order(facets: Facets) -> Facets | None:
-    """Equal facets of first order, None unless all are straight and flat."""
-    element, x = facets.element, facets.x
-    if element.part is None:
-        return facets
-    corners = x[:, list(element.vertices)]
-    off = x - element.vertex_functions(element.points) @ corners
-    heights = np.einsum(
-        "mki,mi->mk", corners - corners.mean(axis=1, keepdims=True), facet_normals(facets)
-    )
-    limit = 8 * ROUND_OFF * facet_sizes(x)[:, None]
-    if (np.abs(off).max(axis=2, initial=0.0) > limit).any() or (np.abs(heights) > limit).any():
-        return None
-    return Facets(element.part, np.ascontiguousarray(corners))
-
-
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
     """Pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
 
@@ -55,35 +39,22 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
     ([[0, 3], [0, 5]], [0, 1])
     """
     a, b = count(slave), count(master)
-    if a * b == 1:
-        return pairs, np.arange(len(pairs), dtype=np.int32)
-    every, of = all_pairs(pairs, a, b)
-    return every, of
+    each = np.stack(np.divmod(np.arange(a * b), b), axis=1)
+    every = (pairs[:, None] * [a, b] + each).reshape(-1, 2).astype(np.int32)
+    order = np.argsort(every[:, 0], kind="stable")
+    return every[order], np.repeat(np.arange(len(pairs), dtype=np.int32), a * b)[order]
 
 
-@numba.njit(**KERNEL)
-def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
-    """See `pairs_of_parts`, for a and b parts."""
-    size = len(pairs) * a * b
-    every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)
-    first, k = 0, 0
-    while first < len(pairs):
-        last = first
-        while last < len(pairs) and pairs[last, 0] == pairs[first, 0]:
-            last += 1
-        for i in range(a):
-            for p in range(first, last):
-                for j in range(b):
-                    every[k, 0], every[k, 1], of[k] = pairs[p, 0] * a + i, pairs[p, 1] * b + j, p
-                    k += 1
-        first = last
-    return every, of
+def reference_parts(element: FacetElement) -> Floats:
+    """Nodes (s, k, 2) of parts on the reference facet."""
+    return element.points[np.array(element.sub_facets)]
 
 
-def on_reference(element: FacetElement) -> Floats:
-    """Coefficients (s, 3, 9) of parts of the reference facet."""
-    x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
-    return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
+def _on_facet(element: FacetElement, part: Ints, xi: Floats) -> tuple[Ints, Floats]:
+    """Facets (q,) and coordinates (q, 2) of points xi of parts."""
+    x = reference_parts(element)[part % count(element)]
+    N = element.first.shape_functions(xi)
+    return part // count(element), np.einsum("qk,qki->qi", N, x)
 
 
 def coefficients(facets: Facets) -> Floats:
@@ -110,64 +81,21 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _point(c, m, r, s):  # type: ignore[no-untyped-def]
-    x0, a0, b0 = _component(c, m, FIRST, r, s)
-    x1, a1, b1 = _component(c, m, SECOND, r, s)
-    x2, a2, b2 = _component(c, m, THIRD, r, s)
-    n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-
-
-@numba.njit(**KERNEL)
-def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
-    return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
-
-
-@numba.njit(**KERNEL)
-def along(c, m, axes, P):  # type: ignore[no-untyped-def]
-    """Write the coefficients of facet m in a plane into P."""
-    for a in range(2):
-        for k in range(9):
-            P[0, a, k] = 0.0
-            for j in range(3):
-                P[0, a, k] += axes[a, j] * c[m, j, k]
-
-
-@numba.njit(**KERNEL)
-def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
-    """Where (r, s) a projected facet has the point (x, y), or NaN, by Newton."""
-    for _ in range(LIMIT):
-        y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
-        y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
-        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
-        dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
-        r, s = r + dr, s + ds
-        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
-            return r, s
-    return np.nan, np.nan
-
-
-@numba.njit(**KERNEL)
-def _place(  # type: ignore[no-untyped-def]
-    slave, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
-):
-    on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
-    P = np.empty((1, 2, 9))
-    a, b = len(reference_s), len(reference_m)
-    i = j = of_i = of_j = np.int64(0)  # one type of integers: compiled once
-    for q in range(len(weight)):
-        if q == 0 or part[q, 0] != i or part[q, 1] != j:
-            i, j = np.int64(part[q, 0]), np.int64(part[q, 1])
-            of_i, of_j = i // a, j // b
-            along(master, of_j, axes[i], P)
-        r, s = _on_facet(reference_s[i - a * of_i], xi_s[q, 0], xi_s[q, 1])
-        x, y, z, J = _point(slave, of_i, r, s)
-        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
-        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
-        p, t = _on_facet(reference_m[j - b * of_j], xi_m[q, 0], xi_m[q, 1])
-        on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * J
-        on_m[q, 0], on_m[q, 1] = meet(P, u, v, p, t)
-    return on_s, on_m, area
+def meet(P, x, xi):  # type: ignore[no-untyped-def]
+    """Where (q, 2) projected facets P (q, 2, 9) have points x (q, 2), or NaN, by Newton from xi."""
+    found = np.full(xi.shape, np.nan)
+    for q in range(len(xi)):
+        r, s = xi[q, 0], xi[q, 1]
+        for _ in range(LIMIT):
+            y0, a0, b0 = _component(P, q, FIRST, r, s)
+            y1, a1, b1 = _component(P, q, SECOND, r, s)
+            e0, e1, inverse = x[q, 0] - y0, x[q, 1] - y1, 1.0 / (a0 * b1 - a1 * b0)
+            dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
+            r, s = r + dr, s + ds
+            if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+                found[q, 0], found[q, 1] = r, s
+                break
+    return found
 
 
 def on_facets(
@@ -186,12 +114,16 @@ def on_facets(
     slave parts' planes, the last the direction of projection; xi_s, xi_m and weight belong to the
     parts (q, 2).
     """
-    part_s = slave.element.part or slave.element
-    scale = slave.element.size / (count(slave.element) * part_s.size)
-    facets = (coefficients(f) for f in (slave, master))
-    references = (on_reference(f.element) for f in (slave, master))
-    on_s, on_m, area = _place(*facets, *references, axes, part, xi_s, xi_m, weight, scale)
-    return on_s, on_m, area
+    scale = slave.element.size / (count(slave.element) * slave.element.first.size)
+    (i, on_s), (j, on_m) = (
+        _on_facet(f.element, part[:, k], xi)
+        for k, (f, xi) in enumerate(((slave, xi_s), (master, xi_m)))
+    )
+    N, dN, _ = slave.element.functions(on_s)
+    along, x = axes[part[:, 0], :2], slave.x[i]
+    area = np.linalg.norm(dual_basis(dN @ x)[1], axis=1)
+    target = (along @ (N[:, None] @ x).swapaxes(1, 2))[:, :, 0]
+    return on_s, meet(along @ coefficients(master)[j], target, on_m), weight * scale * area
 
 
 VERTICES = 32

@@ -63,6 +63,11 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
     return Cones(centre, axis, (radius * (1 + slope) + margin) * (1 + HALF_OF_DIGITS), slope)
 
 
+def as_cones(centre: Floats, radius: Floats) -> Cones:
+    """Balls as cones without axis."""
+    return Cones(centre, 0.0 * centre, radius * (1 + HALF_OF_DIGITS), 0.0 * radius)
+
+
 @numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
     axial = 0.0

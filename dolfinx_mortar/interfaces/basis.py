@@ -8,7 +8,8 @@ A slave node of several interfaces has multipliers of only one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from itertools import permutations
 
 from mpi4py import MPI
@@ -17,7 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import Congruence
+from dolfinx_mortar.algebra.congruence import ProductOfBases
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.coupling import (
@@ -39,18 +40,12 @@ from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 class Claims:
     """Owners of slave nodes, and order of the interfaces."""
 
-    owner: Ints  # (owned nodes,) interface
-    banned: list[Bools]  # of each (local nodes,): slave nodes of others
-    dependencies: frozenset[tuple[int, int]]  # i depends on slave nodes of k: T_i is left of T_k
-    order: list[int]  # of the transformations
-    notes: list[str]
-
-
-def referenced(sides: Sides, pattern: Pattern) -> Bools:
-    """Owned nodes on which candidate pairs depend; collective."""
-    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
-    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
-    return np.asarray(counts[:, 0] > 0)
+    owner: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int32))  # (owned nodes,)
+    banned: Sequence[Bools] = ()  # of each (local nodes,): slave nodes of others
+    # i depends on slave nodes of k: T_i is left of T_k
+    dependencies: frozenset[tuple[int, int]] = frozenset()
+    order: Sequence[int] = ()  # of the transformations
+    notes: Sequence[str] = ()
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
@@ -67,7 +62,9 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
     """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
-    leant_on = referenced(sides, pattern)
+    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
+    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
+    leant_on = np.asarray(counts[:, 0] > 0)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
 
@@ -168,9 +165,9 @@ def resolve_claims(
             else:
                 dependencies.add((i, k))
     shared = [with_ghosts(s.V, b) for s, b in zip(sides, banned, strict=True)]
-    return Claims(
-        owner, shared, frozenset(dependencies), _topological(len(sides), dependencies), notes
-    )
+    before = {k: {i for i, e in dependencies if e == k} for k in range(len(sides))}
+    order = list(TopologicalSorter(before).static_order())
+    return Claims(owner, shared, frozenset(dependencies), order, notes)
 
 
 def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
@@ -196,19 +193,6 @@ def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
 
 def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
     return any(c == a and (e == b or _reaches(edges, e, b)) for c, e in edges)
-
-
-def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
-    order: list[int] = []
-    while len(order) < n:
-        order.append(
-            next(
-                k
-                for k in range(n)
-                if k not in order and all(i in order for i, e in edges if e == k)
-            )
-        )
-    return order
 
 
 def notes_on_splits(
@@ -247,7 +231,7 @@ def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
         return np.zeros(len(facets))
     parts = []
     for master in (side.master, other.master):
-        pairing = create_pairing(side.V, side.slave, master, u, moving=False, again=True)
+        pairing = create_pairing(side.slave, master, u, moving=False, again=True)
         segments, _ = find_segments(pairing, u)
         covered = np.bincount(segments.slave, segments.weight, minlength=len(facets))
         parts.append(covered / segments.facet_weights.sum(axis=1))
@@ -261,23 +245,33 @@ class Transformation:
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # without chains one matrix saves products
         self.claims = claims
-        groups = [[i] for i in claims.order] if self.chained else [claims.order]
+        groups = [[i] for i in claims.order] if self.chained else [list(claims.order)]
         self.links = links
         dependent = any_rank(V.mesh.comm, any(link.sides.dependent.any() for link in links))[0]
         levels = (True, False) if dependent else (None,)
         parts = [(group, level) for group in groups for level in levels]
         self.factors = [_Factor(V, links, *part) for part in parts]
-        self._congruences: list[Congruence] = []
+        self._product = ProductOfBases()
+        self.formed = False  # whether T^T K T exists
 
     @property
     def chained(self) -> bool:
         """Whether interfaces may depend on others' slave nodes."""
         return bool(self.claims.dependencies)
 
-    def serves(self, claims: Claims) -> bool:
-        """Whether its factors fit other claims."""
+    def serves(self, links: Sequence[Link], claims: Claims) -> bool:
+        """Whether its factors fit other links and claims, on this rank."""
         mine = self.claims
-        return claims.order == mine.order and claims.dependencies == mine.dependencies
+        same = claims.order == mine.order and claims.dependencies == mine.dependencies
+        return same and all(
+            np.array_equal(a, b)
+            for one, other in zip(self.links, links, strict=True)
+            for a, b in (
+                (one.pattern.row, other.pattern.row),
+                (one.pattern.column, other.pattern.column),
+                (one.banned, other.banned),
+            )
+        )
 
     def update(self, links: Sequence[Link]) -> None:
         """Refill T; collective."""
@@ -335,22 +329,10 @@ class Transformation:
             u = factor.inverse(self.links, u)
         return u
 
-    @property
-    def formed(self) -> bool:
-        """Whether T^T K T exists."""
-        return bool(self._congruences)
-
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
         """T^T K T, refilled in place; collective."""
-        fresh = not self.formed
-        for k, factor in enumerate(self.factors):
-            if fresh:
-                self._congruences.append(Congruence(K, factor.C))
-                self._congruences[k].product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            else:
-                self._congruences[k].update(K, factor.C)
-            K = self._congruences[k].product
-        return K
+        self.formed = True
+        return self._product.fill([K], [(factor.C, factor.C) for factor in self.factors])
 
 
 class _Factor:

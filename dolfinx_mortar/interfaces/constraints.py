@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -69,29 +69,22 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
         raise ValueError(f"{name} lower > upper or a weight that is not positive")
 
 
-def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:
+def equalities(dofs: Ints, values: Floats) -> Constraints:
     """Constraints y = values.
 
     >>> equalities(np.array([4], dtype=np.int32), np.array([0.5])).equal.tolist()
     [True]
     """
-    weight = np.ones(len(dofs)) if weight is None else weight
-    return Constraints(dofs.astype(np.int32), values, values, weight)
+    return Constraints(dofs.astype(np.int32), values, values, np.ones(len(dofs)))
 
 
-def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """Bounds w_n <= gap; arguments as in `Interface.constraints`."""
-    on = directions[:, 0]
-    gap = -slip[on, 0]
-    dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
-    return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
+T = TypeVar("T", Constraints, "SlipLimits")
 
 
-def join(parts: Sequence[Constraints]) -> Constraints:
-    """Concatenate constraints."""
-    columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)
-    dofs, lower, upper, weight = (np.concatenate(c) for c in zip(*columns, strict=True))
-    return Constraints(dofs.astype(np.int32), lower, upper, weight)
+def join(parts: Sequence[T]) -> T:
+    """Concatenate the arrays of records, at least one."""
+    columns = ([getattr(part, column.name) for part in parts] for column in fields(parts[0]))
+    return type(parts[0])(*map(np.concatenate, columns))
 
 
 # Elastic slip at prescribed slips, in facets: for convergence mu p / ROOM must be below E.
@@ -167,12 +160,6 @@ class SlipLimits:
     def vectors(self, parts: Floats) -> Floats:
         """Vectors (m, d) of tangential components (m, d - 1)."""
         return np.asarray(np.einsum("mti,mt->mi", self.axes, parts))
-
-
-def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
-    """Concatenate limits, at least one."""
-    columns = (tuple(getattr(p, field.name) for field in fields(SlipLimits)) for p in parts)
-    return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
 Force: TypeAlias = float | fem.Constant

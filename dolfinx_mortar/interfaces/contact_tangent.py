@@ -19,7 +19,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.csr import (
     BlockEntries,
     Blocks,
-    BlockSums,
     SumWithProducts,
     Triplets,
     owned_rows,
@@ -27,7 +26,7 @@ from dolfinx_mortar.algebra.csr import (
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
+from dolfinx_mortar.interfaces.coupling import CoupledSides
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.common_normals import carried, in_planes
@@ -56,56 +55,27 @@ class Unknowns:
     size_global: int
 
 
-@dataclass(frozen=True)
-class SlipRows:
-    """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
+def slip_rows(
+    link: CoupledSides, partners: Partners, along: Floats, turning: Floats, normals: PETSc.Mat
+) -> scipy.sparse.csr_array:
+    """Rows (d n, unknowns) of added slips s.(du_j - P du) + m.dt; 0 of normals, without partners.
 
-    s = t, which turns with the normal; on tools, where m depends on the normal: + t.dm.
+    The vectors s (n, d - 1, d) are t, which turns with the normal, and `turning` (n, d - 1, d) the
+    derivatives of m.dt by the normals, m being the present motion; on tools, where m depends on
+    the normal, s = t.dm/dx_j and `turning` has t.dm/dn_j, too.
     """
-
-    link: CoupledSides
-    partners: Partners
-    turning: Floats  # (n, d - 1, d) derivatives m.dt + t.dm by the normals
-    normals: PETSc.Mat
-    along: Floats  # (n, d - 1, d) s
-
-    @property
-    def d(self) -> int:
-        """Dimension."""
-        return int(self.turning.shape[2])
-
-    @property
-    def columns(self) -> int:
-        """Number of unknowns."""
-        return int(self.normals.getSize()[1])
-
-    def of(self, du: PETSc.Vec) -> Floats:
-        """Slips (n, d - 1) by du, 0 without partners; collective."""
-        motion = node_motions(self.link, self.partners.P, du)
-        turned = (self.normals * du).array_r.reshape(-1, self.d)[self.link.nodes]
-        added = np.einsum("nti,ni->nt", self.along, motion)
-        added += np.einsum("nti,ni->nt", self.turning, turned)
-        return np.where(self.partners.known[:, None], added, 0.0)
-
-    def rows(self, t: int) -> scipy.sparse.csr_array:
-        """Rows (n, unknowns) of tangent t of the owned slave nodes."""
-        nodes, d, tangents = self.link.nodes, self.d, self.along[:, t]
-        index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
-        P = owned_rows(self.partners.P)[nodes].tocoo()
-        own = nodes + index_map.local_range[0]
-        row = np.concatenate([np.arange(n), P.row])
-        column = np.concatenate([own, P.col])
-        value = np.concatenate([np.ones(n), -P.data])
-        shape = n, self.columns
-        parts = [
-            scipy.sparse.coo_array((value * tangents[row, i], (row, d * column + i)), shape)
-            for i in range(d)
-        ]
-        N = owned_rows(self.normals)
-        turned = (
-            scipy.sparse.diags_array(self.turning[:, t, i]) @ N[d * nodes + i] for i in range(d)
-        )
-        return scipy.sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
+    (n, _, d), nodes = along.shape, link.nodes
+    P, first = owned_rows(partners.P)[nodes], link.sides.V.dofmap.index_map.local_range[0]
+    own = scipy.sparse.csr_array((np.ones(n), nodes + first, np.arange(n + 1)), shape=P.shape)
+    moved = scipy.sparse.kron(own - P, scipy.sparse.eye_array(d), format="csr")
+    turned = owned_rows(normals)[(d * nodes[:, None] + np.arange(d)).ravel()]
+    row, column = d * np.arange(n)[:, None, None] + np.indices((d, d))[:, 1:, :][:, None]
+    parts = []
+    for vectors, rows in ((along, moved), (turning, turned)):
+        known = vectors * partners.known[:, None, None]
+        at = row.ravel(), column.ravel()
+        parts.append(scipy.sparse.coo_array((known.ravel(), at), (d * n, d * n)).tocsr() @ rows)
+    return scipy.sparse.csr_array(parts[0] + parts[1])
 
 
 class LinkDerivatives(ABC):
@@ -128,8 +98,8 @@ class LinkDerivatives(ABC):
     @abstractmethod
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
-    ) -> SlipRows:
-        """Rows of slips at the last differentiated iterate; collective."""
+    ) -> scipy.sparse.csr_array:
+        """See `slip_rows`, at the last differentiated iterate; collective."""
 
 
 class ContactDerivatives(LinkDerivatives):
@@ -205,12 +175,12 @@ class ContactDerivatives(LinkDerivatives):
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
-    ) -> SlipRows:
+    ) -> scipy.sparse.csr_array:
         """See `LinkDerivatives`; collective."""
         tangents = link.coupling.rows[:, 1:]
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         turned = -along[:, None, None] * tangents  # tangents change along n only
-        return SlipRows(link, partners, turned, self.normals.zero(), tangents)
+        return slip_rows(link, partners, tangents, turned, self.normals.zero())
 
 
 class _Normals:
@@ -341,9 +311,9 @@ class ToolDerivatives(LinkDerivatives):
         pattern = among.T @ among
         of = V.mesh.comm, layout_of(V)
         alone = scipy.sparse.eye_array(n, format="csr")
-        self.F = BlockSums(*of, BlockEntries(pattern, (d, d), dofs, dofs))
-        self.G = BlockSums(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
-        self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
+        self.F = SumWithProducts(*of, BlockEntries(pattern, (d, d), dofs, dofs))
+        self.G = SumWithProducts(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
+        self.N = SumWithProducts(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
         """True: the pattern is that of the side."""
@@ -381,7 +351,7 @@ class ToolDerivatives(LinkDerivatives):
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
-    ) -> SlipRows:
+    ) -> scipy.sparse.csr_array:
         """See `LinkDerivatives`; collective."""
         slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         assert isinstance(partners, ToolPartners)
@@ -393,7 +363,7 @@ class ToolDerivatives(LinkDerivatives):
         turned[slave.owned :] = 0.0
         alone = np.arange(len(turned))[:, None]
         N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
-        return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
+        return slip_rows(link, partners, tangents @ by_x, tangents @ by_n, N)
 
     def _turning(self, x: Floats) -> Floats:
         """Derivatives dn_j/dx_j (n, d, d), n = -grad phi / |grad phi|."""

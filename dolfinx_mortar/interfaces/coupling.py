@@ -291,41 +291,11 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
     return np.asarray(across.max(axis=0))
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Directions at the owned slave nodes."""
-
-    R: Floats  # (n, d, d) frames as columns
-    slot: Ints  # (n, d) column of a prescribed axis, else -1
-    directions: Bools  # (n, d) constrained columns
-    normals: Floats  # (n, d) 0 without multiplier
-
-
-def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
-    """Orthonormal frames with the normal first and prescribed axes among the tangents.
-
-    Unit normals (n, d) are zero in prescribed directions (n, d). Returns R and slot of a `Frame`.
-
-    >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
-    >>> R[0].tolist(), slot[0].tolist()
-    ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
-    """
-    n, d = normals.shape
-    # without the free axis closest to n; swapped tangents would spoil reused multigrid levels
-    order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
-    order = np.sort(order, axis=1)
-    columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
-    R, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
-    R = R * np.sign(np.einsum("nii->ni", upper))[:, None, :]
-    slot = np.full((n, d), -1, dtype=np.int32)
-    np.put_along_axis(slot, order, np.arange(1, d, dtype=np.int32)[None, :], axis=1)
-    return R + 0.0, np.where(fixed, slot, -1).astype(np.int32)
-
-
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
     """Frames whose normal is constrained at kept nodes (n,); Cartesian elsewhere.
 
-    As `create_frames`, and the constrained directions (n, d).
+    Prescribed axes (n, d) are among the tangents. Returns R and slot of a `Coupling`, and the
+    constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)
@@ -336,11 +306,18 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
     R, axes = np.tile(np.eye(d), (n, 1, 1)), np.arange(d, dtype=np.int32)
     slot = np.where(fixed, axes, -1).astype(np.int32)
     free, _ = free_directions(normals[kept], fixed[kept])
-    Q, slot[kept] = create_frames(free, fixed[kept])
+    # without the free axis closest to n; swapped tangents would spoil reused multigrid levels
+    order = np.argsort(np.abs(free) - 2.0 * fixed[kept], axis=1, kind="stable")[:, : d - 1]
+    order = np.sort(order, axis=1)
+    columns = np.concatenate([free[:, None, :], np.eye(d)[order]], axis=1)
+    Q, upper = np.linalg.qr(np.swapaxes(columns, 1, 2))
+    Q = Q * np.sign(np.einsum("nii->ni", upper))[:, None, :] + 0.0
     shares = np.einsum("nij,ni->nj", Q, normals[kept])  # of n = sum_k shares_k q_k
     Q[:, :, 0] /= shares[:, :1]
     Q[:, :, 1:] -= Q[:, :, :1] * shares[:, None, 1:]
-    R[kept] = Q
+    place = np.zeros((len(free), d), dtype=np.int32)
+    np.put_along_axis(place, order, axes[None, 1:], axis=1)
+    R[kept], slot[kept] = Q, np.where(fixed[kept], place, -1)
     return R, slot, kept[:, None] & (axes == 0)
 
 
@@ -352,15 +329,31 @@ def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
     return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
 
 
-def couple_in(frame: Frame, kept: Bools, *, blocks: Floats, **rest: Any) -> Coupling:
-    """Coupling in a frame; makes ``blocks`` read-only."""
+def create_coupling(
+    pattern: Pattern,
+    P: Floats,
+    normals: Floats,
+    fixed: Bools,
+    kept: Bools,
+    *,
+    tangential: bool,
+    added: Floats | None = None,
+    **rest: Any,
+) -> Coupling:
+    """Coupling for P (e, c), unit normals (n, d), fixed directions (n, d), kept nodes (n, c).
+
+    Frames have the normal first where it is kept, and are Cartesian elsewhere and for c > 1.
+
+    Args:
+        tangential: whether free tangents are constrained, too.
+        added: (k, d, d) added to the last entries of Q.
+    """
+    R, slot, directions = normal_frames(normals, kept[:, 0] & (kept.shape[1] == 1), fixed)
+    if tangential:
+        directions = kept & ~(slot[:, :, None] == np.arange(R.shape[1])).any(axis=1)
+    blocks = P[:, :, None] * (R * directions[:, None] @ np.linalg.inv(R))[pattern.row]
+    if added is not None:
+        blocks[len(blocks) - len(added) :] += added
     blocks.flags.writeable = False
-    return Coupling(
-        blocks=blocks,
-        R=frame.R,
-        slot=frame.slot,
-        directions=frame.directions,
-        kept=kept,
-        normals=frame.normals,
-        **rest,
-    )
+    normals = np.where(kept.any(axis=1, keepdims=True), normals, 0.0)
+    return Coupling(blocks, P, R, slot, directions, kept, normals=normals, **rest)

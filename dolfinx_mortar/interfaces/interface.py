@@ -20,8 +20,6 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     check_constraints,
-    equalities,
-    upper_bounds,
 )
 from dolfinx_mortar.interfaces.contact_tangent import LinkDerivatives
 from dolfinx_mortar.interfaces.coupling import (
@@ -103,7 +101,8 @@ class Interface(Collective, Results, ABC):
 
     def given(self) -> dict[str, Any]:
         """Arguments that must agree among ranks, by name."""
-        return {"facet_tags": self.facet_tags, "slave": self.slave}
+        own = {"facet_tags": self.facet_tags, "slave": self.slave}
+        return own | ({} if self.rigid is None else self.rigid.given())
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError if a problem cannot take it.
@@ -193,20 +192,20 @@ class Interface(Collective, Results, ABC):
                 minus the gap), else of displacements minus `apart`.
             D: (n, c) weights.
         """
-        if self.unilateral:
-            return upper_bounds(nodes, directions, slip, D)
-        node, axis = np.nonzero(directions)
-        dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
-        weight = np.broadcast_to(D, directions.shape)[node, axis]
-        return equalities(dofs, -slip[node, axis], weight)
+        d = directions.shape[1]
+        bounded = directions & (np.arange(d) == 0) if self.unilateral else directions
+        node, axis = np.nonzero(bounded)
+        dofs, upper = (d * nodes[node] + axis).astype(np.int32), -slip[node, axis]
+        lower = np.full_like(upper, -np.inf) if self.unilateral else upper
+        return Constraints(dofs, lower, upper, np.broadcast_to(D, directions.shape)[node, axis])
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
         """Derivatives for the pattern of a link, or None; collective."""
         return None
 
     def driven(self) -> Driven | None:
-        """Motions driven by given forces, or None."""
-        return None
+        """Motions driven by given forces, or None if all are prescribed."""
+        return self.rigid if self.rigid is not None and self.rigid.load else None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warnings for the audit at positions x (n,), the same on all ranks; collective.
@@ -221,10 +220,12 @@ class Interface(Collective, Results, ABC):
 
         `ended`: at the start of the next step.
         """
-        return {}
+        return {} if self.rigid is None else self.rigid.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
         """Set the result of `state`; without communication."""
+        if self.rigid is not None:
+            self.rigid.restore(state)
 
 
 def full_coverage(sides: Sides) -> Coverage:
@@ -241,8 +242,6 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
     "measure_coverage": (Coverage,),
     "couple": (Coupling,),
     "may_carry": (np.ndarray,),
-    "frame": (object,),
-    "blocks": (np.ndarray,),
     "apart": (np.ndarray, NoneType),
     "constraints": (Constraints,),
     "derivatives": (object,),
@@ -258,22 +257,17 @@ def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any
     def asked(self: Interface, *args: Any, **options: Any) -> Any:
         with raised_together(self.facet_tags.topology.comm), named(f"{self!r}: {name}()"):
             found = method(self, *args, **options)
-            _check_returned(f"{self!r}: {name}() returns", found, _RETURNS[name], args)
+            kinds, who = _RETURNS[name], f"{self!r}: {name}() returns"
+            if not isinstance(found, kinds):
+                wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
+                raise ValueError(f"{who} a {type(found).__name__}: return a {wanted}")
+            if isinstance(found, Coupling):
+                check_coupling(who, found, args[0], args[2])
+            if isinstance(found, Constraints):
+                check_constraints(who, found, *args[:2])
         return found
 
     return asked
-
-
-def _check_returned(
-    name: str, found: object, kinds: tuple[type, ...], args: tuple[Any, ...]
-) -> None:
-    if not isinstance(found, kinds):
-        wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
-        raise ValueError(f"{name} a {type(found).__name__}: return a {wanted}")
-    if isinstance(found, Coupling):
-        check_coupling(name, found, args[0], args[2])
-    if isinstance(found, Constraints):
-        check_constraints(name, found, *args[:2])
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:

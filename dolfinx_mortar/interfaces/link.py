@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
+from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import ROOM, SlipLimits
 from dolfinx_mortar.interfaces.coupling import CoupledSides, relative_motions, with_ghosts
@@ -54,50 +56,52 @@ class Link(CoupledSides):
 
     def prescribed_facets(self) -> Bools:
         """Slave facets (m,) with such nodes only; collective."""
+        marks = self.with_ghosts(self.prescribed)
+        return np.asarray((marks > 0.0)[self.sides.slave.facets].all(axis=1))
+
+    def with_ghosts(self, values: npt.NDArray[Any]) -> Floats:
+        """Values (n,) or (n, c) of slave nodes, also at ghosts; collective."""
         slave = self.sides.slave
-        marks = np.zeros(len(slave.nodes))
-        marks[: slave.owned] = self.prescribed
-        return np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
+        local = np.zeros((len(slave.nodes), *values.shape[1:]))
+        local[: slave.owned] = values
+        return accumulate(slave, local)
 
     def slip_limits(
         self, limit: Floats, moved: PETSc.Vec, partner: Partners | None, sliding: Floats | None
     ) -> SlipLimits:
         """Limits of friction, see `InterfaceSystem.slip_limits`; collective."""
-        law, comm = self.interface.law, self.sides.V.mesh.comm
+        law = self.interface.law
         assert law is not None
         slip = self.relative(moved) if partner is None else partner.slip(self, moved)
         on = self.constrained[:, 0]
         nodes, some, d = self.nodes[on], self.constrained[on, 1:], slip.shape[1]
         normal = (d * nodes).astype(np.int32)
         tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
-        values, weight = limit[nodes], self.coupling.weight[on, 0]
-        zero, none = np.zeros_like(values), np.zeros((len(nodes), d))
-        found = SlipLimits(
-            nodes=nodes,
-            normal=normal,
-            tangential=tangential,
-            axes=self.coupling.rows[on, 1:],
-            slip=np.where(some, slip[on, 1:], 0.0),
-            coefficient=values if law.by_pressure else zero,
-            cohesion=zero if law.by_pressure else values * weight,
-            weight=weight,
-            beside=none,
-            before=none,
-            room=np.ones_like(values),
-            opening=self.coupling.R[on, :, 0],
-        )
-        held: Bools = np.asarray(self.sides.fixed[nodes].any(axis=1))
-        if not any_rank(comm, held.any())[0]:
-            return found
+        values, weight, axes = limit[nodes], self.coupling.weight[on, 0], self.coupling.rows[on, 1:]
         motion = relative_motions(self, moved)[0]
         if partner is not None:
             motion = np.where(partner.known[:, None], partner.motion(self, moved), motion)
-        before = none if sliding is None else sliding[nodes]
+        # parts in prescribed directions
+        before = np.zeros_like(motion[on]) if sliding is None else sliding[nodes]
         parts, n = np.stack([motion[on], before]), self.coupling.normals[on]
         parts -= (parts * n).sum(axis=2)[:, :, None] * n
-        beside, before = ((v - found.vectors(found.along(v))) * held[:, None] for v in parts)
-        room = np.full(len(nodes), ROOM * mean_facet_length(self.sides.slave))
-        return replace(found, beside=beside, before=before, room=room)
+        free = axes * some[:, :, None]
+        parts -= np.einsum("mti,mtj,kmj->kmi", free, free, parts)
+        beside, before = parts * self.sides.fixed[nodes].any(axis=1, keepdims=True)
+        return SlipLimits(
+            nodes=nodes,
+            normal=normal,
+            tangential=tangential,
+            axes=axes,
+            slip=np.where(some, slip[on, 1:], 0.0),
+            coefficient=values * law.by_pressure,
+            cohesion=values * weight * (not law.by_pressure),
+            weight=weight,
+            beside=beside,
+            before=before,
+            room=np.full(len(nodes), ROOM * mean_facet_length(self.sides.slave)),
+            opening=self.coupling.R[on, :, 0],
+        )
 
     def acting(self, closed: Bools) -> Bools:
         """Slave nodes (n,) at which the interface acts, given closed nodes."""

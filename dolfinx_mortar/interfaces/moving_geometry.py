@@ -13,7 +13,7 @@ With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from petsc4py import PETSc
 
@@ -21,103 +21,32 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import (
-    OperatorOfBases,
-    ProductOfBases,
-    as_aij,
-    refill,
-    union,
-)
+from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
-from dolfinx_mortar.interfaces.contact_tangent import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
 
 
-@dataclass(frozen=True)
 class GeometryTangent:
-    """Contribution of moving surfaces; valid until the next one."""
+    """Contribution of moving surfaces, on the patterns of their pairs, at the last iterate.
 
-    forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
-    trial: Transformation  # T_g
-    gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: -dG_j.du / D_jj
-    slips: Sequence[SlipRows]  # of contacts with friction
-    products: Products
-
-    def closing(self, du: PETSc.Vec) -> Floats:
-        """Closing of gaps and added slips (n,) by du; collective."""
-        total = np.zeros(du.local_size)
-        for rows in self.gaps:
-            total += (rows * du).array_r
-        for slip in self.slips:
-            total.reshape(-1, slip.d)[slip.link.nodes, 1:] = slip.of(du)
-        return total
-
-    def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
-        """Return T^T (K + H) T_g, refilled in place; collective."""
-        return self.products.fill(K, self.forces, T, self.trial)
-
-    def follow(
-        self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
-    ) -> OperatorOfBases:
-        """Same as an operator, decoupled at owned unknowns, valid until the next call; collective.
-
-        `diagonal` (n,) is that of T^T K T.
-        """
-        return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
-
-
-class Products:
-    """Matrices of T^T (K + H) T_g, on fixed patterns."""
-
-    def __init__(self) -> None:
-        self._total: PETSc.Mat | None = None
-        self._factors: list[ProductOfBases] = []
-        self._operator: OperatorOfBases | None = None
-
-    def fill(
-        self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
-    ) -> PETSc.Mat:
-        """Product, always the same matrix; collective."""
-        A = as_aij(K)
-        fresh, bases = self._total is None, list(zip(T.factors, T_g.factors, strict=True))
-        if self._total is None:
-            self._total = union(A, H)
-        refill(self._total, [A, *H])
-        A = self._total
-        for k, (test, trial) in enumerate(bases):
-            if fresh:
-                self._factors.append(ProductOfBases(A, test.C, trial.C))
-            self._factors[k].update(A, test.C, trial.C)
-            A = self._factors[k].product
-        return A
-
-    def follow(
-        self,
-        parts: Sequence[PETSc.Mat],
-        T: Transformation,
-        T_g: Transformation,
-        decoupled: Ints,
-        diagonal: PETSc.Vec,
-    ) -> OperatorOfBases:
-        """Product as an operator, always the same; collective."""
-        if self._operator is None:
-            self._operator = OperatorOfBases(parts[0])
-        bases = [(a.C, b.C) for a, b in zip(T.factors, T_g.factors, strict=True)]
-        self._operator.follow(parts, bases, decoupled, diagonal)
-        return self._operator
-
-
-class MovingGeometry:
-    """Derivatives of contacts, on the patterns of their pairs; collective."""
+    Attributes:
+        forces: matrices (n, n) H = d(B^T lambda)/du, of each contact.
+        rows: matrices (n, n) of w by du: -dG_j.du / D_jj, and added slips.
+        trial: T_g.
+    """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
+        """Find the patterns; collective."""
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
-        self._trial = Transformation(V, links, claims)
-        self._products = Products()
+        self.trial = Transformation(V, links, claims)
+        self.forces: list[PETSc.Mat] = []
+        self.rows: list[PETSc.Mat] = []
+        self._product = ProductOfBases()
+        self._operator = OperatorOfBases(self.trial.factors[0].C)
 
     def serves(self, links: Sequence[Link]) -> bool:
         """Whether the patterns fit other links."""
@@ -130,24 +59,63 @@ class MovingGeometry:
         multipliers: Floats,
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
-    ) -> GeometryTangent:
+    ) -> None:
         """See `InterfaceSystem.linearise_geometry`; collective."""
-        moved, H, gaps, sliding = list(links), [], [], []
-        since, partners = slips
+        moved, (since, partners) = list(links), slips
+        self.forces, self.rows = [], []
         for k, contact in self._contacts.items():
-            forces, rows, known = contact.differentiate(links[k], u, multipliers, tangential)
-            slip = None
+            link = links[k]
+            forces, gaps, known = contact.differentiate(link, u, multipliers, tangential)
+            self.forces.append(forces)
+            self.rows.append(gaps)
+            slid = None
             if partners and (partner := partners[k]) is not None:
-                slip = contact.slips(links[k], u, partner, since)
-                sliding.append(slip)
-            moved[k] = _trial(links[k], rows, known, slip)
-            H.append(forces)
-            gaps.append(rows)
-        self._trial.update(moved)
-        return GeometryTangent(H, self._trial, gaps, sliding, self._products)
+                slid = contact.slips(link, u, partner, since), partner.known
+                self.rows.append(_matrix(link, slid[0], gaps))
+            moved[k] = _trial(link, gaps, known, slid)
+        self.trial.update(moved)
+
+    def closing(self, du: PETSc.Vec) -> Floats:
+        """Closing of gaps and added slips (n,) by du; collective."""
+        total = np.zeros(du.local_size)
+        for rows in self.rows:
+            total += (rows * du).array_r
+        return total
+
+    def _bases(self, T: Transformation) -> list[tuple[PETSc.Mat, PETSc.Mat]]:
+        return [(a.C, b.C) for a, b in zip(T.factors, self.trial.factors, strict=True)]
+
+    def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
+        """Return T^T (K + H) T_g, refilled in place; collective."""
+        return self._product.fill([K, *self.forces], self._bases(T))
+
+    def follow(
+        self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
+    ) -> OperatorOfBases:
+        """Same as an operator, decoupled at owned unknowns, always the same; collective.
+
+        `diagonal` (n,) is that of T^T K T.
+        """
+        self._operator.follow_bases([K, *self.forces], self._bases(T), decoupled, diagonal)
+        return self._operator
 
 
-def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
+def _matrix(link: Link, rows: scipy.sparse.csr_array, like: PETSc.Mat) -> PETSc.Mat:
+    """Matrix with the rows (d n, unknowns) of slave nodes; collective."""
+    found, sizes, d = rows.tocoo(), like.getSizes(), link.coupling.R.shape[1]
+    dofs = (d * link.nodes[:, None] + np.arange(d)).ravel()
+    at, shape = (dofs[found.row], found.col), (sizes[0][0], sizes[1][1])
+    whole = scipy.sparse.coo_array((found.data, at), shape).tocsr()
+    start, columns = (v.astype(PETSc.IntType) for v in (whole.indptr, whole.indices))
+    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, whole.data), comm=like.comm)
+
+
+def _trial(
+    link: Link,
+    weighted: PETSc.Mat,
+    known: Bools,
+    slips: tuple[scipy.sparse.csr_array, Bools] | None,
+) -> Link:
     """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
     Rows of T replace unknown or dependent rows, and those with a small part along n_j.
@@ -164,11 +132,11 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     if slips is not None:
         slid, q = rows.copy(), moved.copy()
         for t in range(1, d):
-            slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
+            slid[:, t], q[:, t] = _lumped(link, slips[0][t::d])
         slid[:, 1:] = np.where(coupling.directions[:, 1:, None], slid[:, 1:], across[:, 1:])
         # lumped partners outside of the sparsity pattern may make a block singular
         regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
-        faced = (slips.partners.known & regular)[:, None, None]
+        faced = (slips[1] & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
     moved[:, 1:] *= coupling.directions[row, 1:, None]
     moves = kept & ((rows[:, 0] * coupling.normals).sum(axis=1) > 0.5)

@@ -20,19 +20,18 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
-from dolfinx_mortar.interfaces.contact import Unilateral
+from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
     Pattern,
     Sides,
-    couple_in,
+    create_coupling,
     create_pattern,
     free_directions,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.interfaces.tool import (
     Movable,
     SidePattern,
@@ -130,7 +129,7 @@ class Obstacle(Movable, Unilateral):
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
-        return super().given() | self.tool.given() | {"surface": self.meant}
+        return super().given() | {"surface": self.meant}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes of another dimension, or not of revolution."""
@@ -142,13 +141,6 @@ class Obstacle(Movable, Unilateral):
         super().take(owner, V)
         self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
-        facets, d = self.facet_tags.find(self.slave), V.mesh.geometry.dim
-        dofs = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
-        X = V.tabulate_dof_coordinates()[dofs, :d]
-        ends = maximum(V.mesh.comm, *np.hstack([-X, X]).max(axis=0, initial=-np.inf))
-        low, high = -ends[:d], ends[d:]
-        axes = np.stack([low, (low + high) / 2.0, high], axis=1)
-        self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
 
     def pair(
         self,
@@ -224,17 +216,18 @@ class Obstacle(Movable, Unilateral):
         if any_rank(comm, banned[slave.nodes].any())[0]:
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
-        frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # the gap n.(P x - x_j) - h_j is the mean of phi
-        heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
+        heights = -(into[own] * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
-        return couple_in(
-            frame,
+        return create_coupling(
+            pattern,
+            found.P,
+            into[own],
+            sides.fixed[sides.nodes],
             kept,
-            blocks=self.blocks(found.P, frame, pattern.row),
-            P=found.P,
+            tangential=self.law is not None,
             weight=np.where(kept, found.weight, 0.0),
             heights=np.where(kept[:, 0], heights, 0.0),
             coverage=replace(found.coverage, near=near[own]),

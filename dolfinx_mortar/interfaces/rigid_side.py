@@ -114,10 +114,6 @@ class RigidSide(Movable, Interface):
     def __repr__(self) -> str:
         return super().__repr__().replace("slave=", "", 1)
 
-    def given(self) -> dict[str, Any]:
-        """See `Interface.given`."""
-        return super().given() | self.rigid.given()
-
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Set the kinematics: forces act at X at small strain."""
         self.rigid.revolved, self.rigid.small = revolved, strain == "small"
@@ -128,7 +124,7 @@ class RigidSide(Movable, Interface):
         sides = super().find_sides(V, fixed, weight)
         free = 1 if self.rigid.revolved else 0  # on the axis u_r = 0
         held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))
-        self._refuse(sides, held, "Dirichlet conditions hold", "of the two")
+        self._refuse(sides, held, "Dirichlet conditions hold")
         return sides
 
     def couple(
@@ -140,7 +136,7 @@ class RigidSide(Movable, Interface):
         u: fem.Function | None,
     ) -> Coupling:
         """See `Interface.couple`: all directions are constrained; collective."""
-        self._refuse(sides, banned[sides.nodes], "an earlier interface has", "of the two")
+        self._refuse(sides, banned[sides.nodes], "an earlier interface has")
         slave, n, d = sides.slave, len(sides.nodes), sides.fixed.shape[1]
         x = coordinates(slave, u)
         areas = tributary_weights(facets_at(slave, x)).mean(axis=1)  # none is zero
@@ -162,12 +158,12 @@ class RigidSide(Movable, Interface):
             coverage=full_coverage(sides),
         )
 
-    def _refuse(self, sides: Sides, wrong: Bools, who: str, whose: str) -> None:
+    def _refuse(self, sides: Sides, wrong: Bools, who: str) -> None:
         count = int(sides.V.mesh.comm.allreduce(int(wrong.sum()), op=MPI.SUM))
         if count:
             raise ValueError(
                 f"{self!r}: {who} {count} of its nodes, but all nodes of a RigidSide move with it: "
-                f"remove one {whose} there"
+                "remove one of the two there"
             )
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats:

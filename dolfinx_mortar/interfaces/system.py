@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -28,7 +27,6 @@ from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     SlipLimits,
     join,
-    join_limits,
 )
 from dolfinx_mortar.interfaces.coupling import (
     Coupling,
@@ -41,7 +39,7 @@ from dolfinx_mortar.interfaces.interface import (
     full_coverage,
 )
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
+from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Outline
@@ -63,7 +61,7 @@ class Configuration:
     """All interfaces at given positions."""
 
     links: Sequence[Link] = ()
-    claims: Claims | None = None
+    claims: Claims = field(default_factory=Claims)
     transformation: Transformation | None = None
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) displacement; empty for X
 
@@ -73,22 +71,17 @@ class Configuration:
         largest = np.abs(np.concatenate([np.zeros(0), *missed])).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
-    def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
-        """See `Link.partners`; collective."""
-        return [link.partners(x, frozen=frozen) for link in self.links]
-
 
 @dataclass(frozen=True)
 class Reused:
     """Last search and T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[tuple[Pairing | None, Pattern]] = ()
-    claims: Claims | None = None
-    at_X: Mapping[int, Coupling] = field(default_factory=dict)
-    paired_at: Floats | None = None
+    claims: Claims = field(default_factory=Claims)
+    at_X: dict[int, Coupling] = field(default_factory=dict)
+    paired_at: Floats = field(default_factory=lambda: np.zeros(0))
     transformation: Transformation | None = None
-    held: Sequence[Any] = ()  # of its pattern, see `_pattern_of`
-    moving: MovingGeometry | None = None
+    moving: GeometryTangent | None = None
 
 
 class InterfaceSystem:
@@ -156,16 +149,6 @@ class InterfaceSystem:
         return [link for link in self.links if link.unilateral]
 
     @property
-    def contacts(self) -> list[Interface]:
-        """Interfaces that can open."""
-        return [interface for interface in self.interfaces if interface.unilateral]
-
-    @property
-    def ties(self) -> list[Interface]:
-        """Interfaces that cannot open."""
-        return [interface for interface in self.interfaces if not interface.unilateral]
-
-    @property
     def opposite(self) -> list[tuple[Surface, ...]]:
         """Sides that may pass through each other or a tool."""
         return [
@@ -179,19 +162,12 @@ class InterfaceSystem:
         return find_boundary(self.V)
 
     @property
-    def tied(self) -> list[tuple[Bools, Bools]]:
-        """Marks (local nodes,) of both sides of each tie."""
-        ties = [s for s in self.sides if not s.unilateral and s.master]
-        return [(s.on_slave, s.on_master) for s in ties]
-
-    @property
     def can_open(self) -> Bools:
-        """Nodes (local nodes,) of contacts."""
-        layout = self.V.dofmap.index_map
-        marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
+        """Owned nodes (n,) of contacts."""
+        marks = np.zeros(self.n, dtype=bool)
         for side in self.sides:
             if side.unilateral:
-                marks |= side.on_slave | side.on_master
+                marks |= (side.on_slave | side.on_master)[: self.n]
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
@@ -215,11 +191,11 @@ class InterfaceSystem:
     @property
     def notes(self) -> list[str]:
         """Notes on multipliers removed by the present claims."""
-        return [] if self.present.claims is None else list(self.present.claims.notes)
+        return list(self.present.claims.notes)
 
     def link(self, interface: Interface) -> Link:
         """Present link of an interface."""
-        return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
+        return next(link for link in self.links if link.interface is interface)
 
     def at(self, u: fem.Function | None) -> Configuration:
         """Pair and couple the surfaces at X + u, without T; collective."""
@@ -248,42 +224,34 @@ class InterfaceSystem:
         patterns = [pattern for _, pattern in found]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
         notes = notes_on_splits(self.interfaces, self.sides, coverage, at)
-        claims = replace(claims, notes=claims.notes + notes)
+        claims = replace(claims, notes=[*claims.notes, *notes])
         where = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=where)
         return where
 
     def _coupled(self, u: fem.Function | None) -> list[Link]:
-        links, claims = [], self._reused.claims
-        assert claims is not None
-        for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            parts = sides, *self._reused.pairs[k], claims.banned[k]
-            coupling = self._couple(k, parts, u)
-            links.append(Link(*parts[:3], coupling, claims.banned[k], interface))
+        """Couple all at X + u, ties and frozen contacts once per search."""
+        links, reused = [], self._reused
+        every = zip(self.interfaces, self.sides, reused.pairs, reused.claims.banned, strict=True)
+        for k, (interface, sides, (pairing, pattern), banned) in enumerate(every):
+            at = None if interface.stays else u
+            lasts = at is None and pairing is not None and is_ours(interface)
+            found = reused.at_X.get(k) if lasts else None
+            if found is None:
+                found = interface.couple(sides, pairing, pattern, banned, at)
+            if lasts:
+                reused.at_X[k] = found
+            links.append(Link(sides, pairing, pattern, found, banned, interface))
         return links
 
-    def _couple(
-        self,
-        k: int,
-        parts: tuple[Sides, Pairing | None, Pattern, Bools],
-        u: fem.Function | None,
-    ) -> Coupling:
-        """Couple interface k at X + u, ties and frozen contacts once per search."""
-        interface, reused = self.interfaces[k], self._reused
-        at = None if interface.stays else u
-        lasts = at is None and parts[1] is not None and is_ours(interface)
-        if lasts and k in reused.at_X:
-            return reused.at_X[k]
-        found = interface.couple(*parts, at)
-        if lasts:
-            self._reused = replace(reused, at_X={**reused.at_X, k: found})
-        return found
-
-    def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
-        if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
-            return link
-        parts = link.sides, link.pairing, link.pattern, link.banned
-        return replace(link, coupling=self._couple(k, parts, u))
+    def near(self, u: fem.Function | None) -> Configuration:
+        """Couple the last pairs at X + u, or new ones where they do not fit; collective."""
+        reused = self._reused
+        if self.interfaces and not self._slid(u):
+            links = self._coupled(u)
+            if not are_outdated(reused.claims, links):
+                return Configuration(links, reused.claims, paired_at=reused.paired_at)
+        return self.at(u)
 
     def begin(self, u: fem.Function | None, known: Floats | None) -> Configuration:
         """First configuration of a step at X + u (X for None), without T; collective.
@@ -293,46 +261,29 @@ class InterfaceSystem:
         """
         if known is None or not self.interfaces:
             return self.at(u)
-        same = self._reused.paired_at is not None and np.array_equal(self._reused.paired_at, known)
+        at = self._reused.paired_at
+        same = len(self._reused.pairs) > 0 and np.array_equal(at, known)
         if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self._pair(None if u is None else with_values(self.V, known))
-        if self._slid(u):
-            return self.at(u)
-        links, claims = self._coupled(u), self._reused.claims
-        assert claims is not None
-        if are_outdated(claims, links):
-            return self.at(u)
-        return Configuration(links, claims, paired_at=known)
+        return self.near(u)
 
     def follow(self, u: fem.Function | None) -> bool:
         """Update to X + u (X for None) in a step; whether T is new; collective."""
-        before = self.present
-        if not self.interfaces:
-            return False
-        if self._slid(u):
-            return self.enter(self.at(u))
-        links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
-        assert before.claims is not None and before.transformation is not None
-        if are_outdated(before.claims, links):
-            return self.enter(self.at(u))
-        before.transformation.update(links)
-        self.present = replace(before, links=links)
-        return False
+        return self.enter(self.near(u))
 
     def enter(self, found: Configuration) -> bool:
         """Make a configuration the present one; whether T is new; collective."""
-        links, claims, held = found.links, found.claims, _pattern_of(found.links)
-        if claims is None:  # no interfaces
+        links, claims, reused = found.links, found.claims, self._reused
+        if not links:
             self.present = found
             return False
-        reused, T = self._reused, self._reused.transformation
-        same = T is not None and T.serves(claims) and len(held) == len(reused.held)
-        same = same and all(map(np.array_equal, held, reused.held))
+        T = reused.transformation
+        same = T is not None and T.serves(links, claims)
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
             self.present = Configuration()  # free the memory for the new T
             self._reused = replace(reused, transformation=None, moving=None)
             T = Transformation(self.V, links, claims)
-            self._reused = replace(self._reused, transformation=T, held=held)
+            self._reused = replace(self._reused, transformation=T)
         T.update(links)
         self.present = replace(found, transformation=T)
         return T is not reused.transformation
@@ -372,9 +323,10 @@ class InterfaceSystem:
         assert T is not None
         lacks = moving is None or not moving.serves(self.links)
         if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
-            moving = MovingGeometry(self.V, self.links, T.claims)
+            moving = GeometryTangent(self.V, self.links, T.claims)
             self._reused = replace(self._reused, moving=moving)
-        return moving.linearise(self.links, u, multipliers, tangential, slips)
+        moving.linearise(self.links, u, multipliers, tangential, slips)
+        return moving
 
     def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
         """Bounds of all interfaces on increments of y, at x = X + u, also frozen; collective."""
@@ -385,7 +337,8 @@ class InterfaceSystem:
             at = link.nodes, link.constrained, slip, link.coupling.weight
             parts.append(link.interface.constraints(*at))
         none: Floats = np.zeros(0)
-        return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
+        found = join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
+        return replace(found, dofs=found.dofs.astype(np.int32))
 
     @property
     def driven(self) -> bool:
@@ -417,7 +370,7 @@ class InterfaceSystem:
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
             if limit is not None:
                 parts.append(link.slip_limits(limit, moved, partner, sliding))
-        return join_limits(parts) if parts else None
+        return join(parts) if parts else None
 
     def exert(self, forces: Floats) -> Floats:
         """Nodal forces on both sides of forces (owned nodes, d); collective."""
@@ -436,10 +389,3 @@ class InterfaceSystem:
             nodes, own = link.nodes[carries], link.coupling.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
-
-
-def _pattern_of(links: Sequence[Link]) -> list[Any]:
-    held: list[Any] = []
-    for link in links:
-        held += [link.pattern.row, link.pattern.column, link.banned]
-    return held

@@ -15,9 +15,9 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional, number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
+from dolfinx_mortar.interfaces.contact import MortarInterface
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
     Direction,
@@ -25,7 +25,6 @@ from dolfinx_mortar.interfaces.pretension import (
     find_axis,
     mean_normal,
 )
-from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pairing import Weight
 from dolfinx_mortar.shapes.shape import check_unit
 from dolfinx_mortar.spaces import check_mesh, check_nodal, check_real
@@ -76,7 +75,8 @@ class Tie(MortarInterface):
         ValueError: for an invalid argument.
 
     Attributes:
-        tightening: s n (d,), set by every step with a pretension.
+        jump, pretension, direction: as given, the direction as a unit vector; may be set.
+        tightening: s n (d,), added to the jump, set by every step with a pretension.
     """
 
     stays = True
@@ -100,49 +100,18 @@ class Tie(MortarInterface):
         self.within = within if everything else check_optional("within", within, REACH)
         self.jump = jump
         self.pretension, self.direction = pretension, direction
-        self.tightening: Floats = np.zeros(self._components)
-        self.normal: Floats = np.zeros(self._components)
+        self.tightening: Floats = np.zeros(facet_tags.topology.dim)
+        self.normal: Floats = np.zeros(facet_tags.topology.dim)
 
-    @property
-    def _components(self) -> int:
-        return int(self.facet_tags.topology.dim)
-
-    @property
-    def jump(self) -> Jump:
-        """The jump without the tightening."""
-        return self._jump
-
-    @jump.setter
-    def jump(self, value: Jump) -> None:
-        self._jump: Jump = _check_jump(value, self._components)
-
-    @property
-    def tightening(self) -> Floats:
-        """Addition (d,) to the jump."""
-        return self._tightening
-
-    @tightening.setter
-    def tightening(self, value: Floats) -> None:
-        self._tightening: Floats = _check_jump(np.asarray(value), self._components)
-
-    @property
-    def pretension(self) -> Force | None:
-        """Resultant along the direction; None keeps the jump."""
-        return self._pretension
-
-    @pretension.setter
-    def pretension(self, value: Force | None) -> None:
-        self._pretension: Force | None = check_optional("pretension", value, FORCE, BOLT)
-
-    @property
-    def direction(self) -> Direction:
-        """Unit vector (d,) of the pretension, None for the mean normal."""
-        return self._direction
-
-    @direction.setter
-    def direction(self, value: Direction) -> None:
-        unit = None if value is None else check_unit("direction", value, self._components)
-        self._direction: Direction = unit
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; a ValueError for an invalid one of a jump or pretension."""
+        if name in ("jump", "tightening"):
+            value = _check_jump(value, self.facet_tags.topology.dim)
+        elif name == "pretension":
+            value = check_optional(name, value, FORCE, BOLT)
+        elif name == "direction" and value is not None:
+            value = check_unit(name, value, self.facet_tags.topology.dim)
+        super().__setattr__(name, value)
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
@@ -178,27 +147,18 @@ class Tie(MortarInterface):
         """Directions (n, d) without Dirichlet data."""
         return ~fixed
 
-    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Cartesian frames constrained in the kept directions."""
-        n, d = normals.shape
-        slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
-        return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
-
-    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Blocks P_jl I."""
-        return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
-
-    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Motions of offset vectors."""
-        return {"motions_of": smooth}
-
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
         """Jump plus tightening (n, d) at slave nodes, or None; collective."""
         if self.jump is None and not self.tightening.any():
             return None
         with raised_together(V.mesh.comm):
             check_mesh("jump", self.jump, V)
-        given = _nodal_function(self.jump, V)
+        given: Any = self.jump
+        if isinstance(given, fem.Function) and given.function_space != V:
+            given.x.scatter_forward()
+            nodal = fem.Function(V)
+            nodal.interpolate(given)
+            given = nodal
         with raised_together(V.mesh.comm):
             return _values_at(given, V, nodes) + self.tightening
 
@@ -252,16 +212,6 @@ def _check_jump(jump: Any, d: int) -> Any:
     if callable(jump):
         return jump
     return check("jump", jump, array((d,), remedy=wanted))
-
-
-def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Functions as one of V; collective for these."""
-    if not isinstance(jump, fem.Function) or jump.function_space == V:
-        return jump
-    jump.x.scatter_forward()
-    nodal = fem.Function(V)
-    nodal.interpolate(jump)
-    return nodal
 
 
 def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:

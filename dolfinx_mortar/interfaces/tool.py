@@ -67,10 +67,8 @@ class Pose:
     @property
     def R(self) -> Floats:
         """Rotation matrix (d, d)."""
-        if len(self.position) == 2:
-            c, s = np.cos(self.rotation[0]), np.sin(self.rotation[0])
-            return np.array([[c, -s], [s, c]])
-        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(self.rotation).as_matrix())
+        d = len(self.position)
+        return np.asarray(_turn(in_space(self.rotation)).as_matrix()[:d, :d])
 
     def to_tool(self, x: Floats) -> Floats:
         """Initial positions (n, d) of the tool's points at x (n, d)."""
@@ -208,10 +206,7 @@ class RigidBody:
         n, d = arm.shape
         every = np.zeros((len(motions_in(d)), n, d))
         every[np.arange(d), :, np.arange(d)] = 1.0
-        if d == 2:
-            every[2] = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-        else:
-            every[3:] = np.cross(np.eye(3)[:, None], arm[None])
+        every[d:] = [spun(arm, axis) for axis in np.eye(len(every) - d)]
         return every[self._driven]
 
     def steps(self, amounts: Floats) -> Floats:
@@ -258,18 +253,6 @@ class Movable:
     @load.setter
     def load(self, value: Mapping[str, Force] | None) -> None:
         self.rigid.load = self.rigid.check_load(value)
-
-    def state(self, ended: bool) -> dict[str, Floats]:
-        """See `Interface.state`."""
-        return self.rigid.state(ended)
-
-    def restore(self, state: Mapping[str, Floats]) -> None:
-        """See `Interface.restore`."""
-        self.rigid.restore(state)
-
-    def driven(self) -> Driven | None:
-        """Motions driven by given forces; None if all are prescribed."""
-        return self.rigid if self.load else None
 
     @property
     def travel(self) -> Floats:
@@ -335,7 +318,7 @@ class Tool(RigidBody):
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
         self.shape, self.asked = shape, Asked(shape)
-        self.began, self.probes = self.pose(), np.zeros((0, d))
+        self.began = self.pose()
 
     def check(self, d: int, revolved: bool) -> None:
         """Set the kinematics; a ValueError for another kind of shape."""
@@ -344,12 +327,14 @@ class Tool(RigidBody):
         self.revolved = revolved
 
     def probed(self) -> list[float] | str:
-        """Largest coordinate and distances at the probes, or how they fail."""
+        """Coordinate of points around the shape's, and distances of these, or how they fail."""
+        point, d = self.shape.point, len(self.point)
+        size = max(1.0, float(np.abs(point).max()))
+        around = point + size * np.vstack([np.eye(d), -np.eye(d)])
         try:
-            found = [*map(float, self.shape.values(self.probes))]
+            found = [*map(float, self.shape.values(around))]
         except Exception as error:
             return type(error).__name__
-        size = float(np.abs(self.probes).max(initial=0.0))
         return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
 
     def given(self) -> dict[str, Any]:
@@ -358,7 +343,7 @@ class Tool(RigidBody):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Reference point and distances at the probes."""
+        """Reference point and some distances."""
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
@@ -383,12 +368,16 @@ class Tool(RigidBody):
         return turn_between(self.began, self.pose())
 
     def seen(self) -> SeenByTool:
-        """Motion since the last commit relative to the tool."""
-        began, now, shape = self.began, self.pose(), self.shape
-        turn = self.turn()
-        return SeenByTool(
-            lambda t, x: on_the_way(began, now, turn, t).to_tool(x), turn, shape.values, shape.point
-        )
+        """Motion since the last commit relative to the tool, which moves uniformly."""
+        began, now, turn, shape = self.began, self.pose(), self.turn(), self.shape
+
+        def at(t: float, x: Floats) -> Floats:
+            if t in (0.0, 1.0):
+                return (now if t else began).to_tool(x)
+            position = (1.0 - t) * began.position + t * now.position
+            return Pose(position, after(began.rotation, t * turn), began.point).to_tool(x)
+
+        return SeenByTool(at, turn, shape.values, shape.point)
 
     def outline(self) -> Outline:
         """Present outline, for output."""
@@ -422,11 +411,20 @@ class Outline:
         return find_zero_level(self.shape, low, high)
 
 
+def _turn(rotation: Floats) -> Any:
+    return scipy.spatial.transform.Rotation.from_rotvec(rotation)
+
+
+def in_space(rotation: Floats) -> Floats:
+    """Rotation vector (3,) of an angle (1,) or a vector (3,)."""
+    return np.append(np.zeros(3 - len(rotation)), rotation)
+
+
 def spun(arm: Floats, rotation: Floats) -> Floats:
     """Return theta x r of arms r (n, d)."""
-    if len(rotation) == 1:
-        return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
-    return np.asarray(np.cross(rotation, arm))
+    d = arm.shape[1]
+    whole = np.pad(arm, [(0, 0), (0, 3 - d)])
+    return np.asarray(np.cross(in_space(rotation), whole)[:, :d], dtype=np.float64)
 
 
 def turn_between(before: Pose, now: Pose) -> Floats:
@@ -443,26 +441,16 @@ def after(rotation: Floats, step: Floats) -> Floats:
     """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
     if len(rotation) == 1:
         return rotation + step
-    turned = scipy.spatial.transform.Rotation.from_rotvec(
-        step
-    ) * scipy.spatial.transform.Rotation.from_rotvec(rotation)
+    turned = _turn(step) * _turn(rotation)
     return _vector_near(turned, rotation + step)
 
 
-def _vector_near(turned: scipy.spatial.transform.Rotation, guess: Floats) -> Floats:
+def _vector_near(turned: Any, guess: Floats) -> Floats:
     found = np.asarray(turned.as_rotvec())
     angle = float(np.linalg.norm(found))
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
     turns = np.round((guess @ axis - angle) / (2.0 * np.pi))
     return found if turns == 0.0 else np.asarray(found + 2.0 * np.pi * turns * axis)
-
-
-def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
-    """Pose at a time t in [0, 1] of a uniform motion with the rotation ``turn``."""
-    if t in (0.0, 1.0):
-        return now if t else before
-    position = (1.0 - t) * before.position + t * now.position
-    return Pose(position, after(before.rotation, t * turn), before.point)
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:

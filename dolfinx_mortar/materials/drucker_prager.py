@@ -6,33 +6,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import ufl
+from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, shear_modulus
-from dolfinx_mortar.materials.protocol import (
-    Material,
-    Parameter,
-    Range,
-    check_fields,
-    check_parameters,
-)
+from dolfinx_mortar.materials.protocol import CheckedLaw, Parameter, Range, check_parameters
 from dolfinx_mortar.materials.von_mises import YIELD_TOLERANCE
 from ufl.core.expr import Expr
 
 
-class _Return(NamedTuple):
-    s: Expr
-    norm: Expr
-    p: Expr
-    g: Expr  # |dev dep| on the cone
-    yields: Expr
-    apex: Expr  # condition: return to the apex
-
-
 @dataclass(frozen=True)
-class DruckerPrager(Material):
+class DruckerPrager(CheckedLaw):
     """Small-strain associated perfect plasticity in the cone of Drucker and Prager.
 
         |dev sigma| + beta p <= Y,      p = tr(sigma) / 3 (tension positive), apex at p = Y / beta
@@ -66,16 +52,12 @@ class DruckerPrager(Material):
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {"plastic_strain": (3, 3)}
     isotropic: ClassVar[bool] = True
-    linear: ClassVar[bool] = False
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
         "Y": (0.0, math.inf, False),
         "beta": (0.0, math.inf, False),
     }
     elastic_stress = staticmethod(Elastic.elastic_stress)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @classmethod
     def from_mohr_coulomb(
@@ -108,50 +90,48 @@ class DruckerPrager(Material):
             "extension": 6 / (math.sqrt(3) * (3 + sine)),
             "plane strain": 3 / math.sqrt(9 * cosine**2 + 12 * sine**2),
         }
-        if match not in scales:
-            raise ValueError(
-                f"DruckerPrager.from_mohr_coulomb: match is {match!r}; choose one of "
-                f"{', '.join(map(repr, scales))}."
-            )
+        check("DruckerPrager.from_mohr_coulomb: match", match, one_of(*scales))
         scale = math.sqrt(2) * scales[match]
         return cls(E, nu, scale * cosine * cohesion, scale * sine)
 
     @staticmethod
-    def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> _Return:
+    def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, ...]:
+        """Return s, |s|, p, |dev dep| on the cone, and whether to return, and to the apex."""
         elastic = strain - state["plastic_strain"]
         mu, K = shear_modulus(p), bulk_modulus(p)
         s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)
         norm = ufl.sqrt(ufl.inner(s, s) + (EPS * p.Y) ** 2)
         excess = norm + p.beta * mean - p.Y
         g = excess / (2 * mu + K * p.beta**2)
-        yields = ufl.gt(excess, YIELD_TOLERANCE * p.Y)
-        return _Return(s, norm, mean, g, yields, ufl.gt(2 * mu * g, norm))
+        return s, norm, mean, g, ufl.gt(excess, YIELD_TOLERANCE * p.Y), ufl.gt(2 * mu * g, norm)
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return psi."""
-        r, elastic = DruckerPrager._return(strain, state, p), strain - state["plastic_strain"]
+        *_, g, yields, to_apex = DruckerPrager._return(strain, state, p)
+        elastic, K = strain - state["plastic_strain"], bulk_modulus(p)
         stored = Elastic.energy(elastic, {}, p)
-        cone = stored - r.g**2 * (2 * shear_modulus(p) + bulk_modulus(p) * p.beta**2) / 2
-        apex = p.Y / p.beta * (ufl.tr(elastic) - p.Y / (2 * p.beta * bulk_modulus(p)))
-        return ufl.conditional(r.yields, ufl.conditional(r.apex, apex, cone), stored)
+        cone = stored - g**2 * (2 * shear_modulus(p) + K * p.beta**2) / 2
+        apex = p.Y / p.beta * (ufl.tr(elastic) - p.Y / (2 * p.beta * K))
+        return ufl.conditional(yields, ufl.conditional(to_apex, apex, cone), stored)
 
     @staticmethod
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return sigma."""
-        r = DruckerPrager._return(strain, state, p)
-        g = ufl.conditional(r.yields, r.g, 0.0)
-        shrunk = 1 - 2 * shear_modulus(p) * g / r.norm
-        apex = ufl.And(r.yields, r.apex)
-        mean = ufl.conditional(apex, p.Y / p.beta, r.p - bulk_modulus(p) * p.beta * g)
-        return mean * ufl.Identity(3) + ufl.conditional(apex, 0.0, shrunk) * r.s
+        s, norm, mean, g, yields, to_apex = DruckerPrager._return(strain, state, p)
+        g, to_apex = ufl.conditional(yields, g, 0.0), ufl.And(yields, to_apex)
+        shrunk = ufl.conditional(to_apex, 0.0, 1 - 2 * shear_modulus(p) * g / norm)
+        mean = ufl.conditional(to_apex, p.Y / p.beta, mean - bulk_modulus(p) * p.beta * g)
+        return mean * ufl.Identity(3) + shrunk * s
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return ep."""
-        r, ep = DruckerPrager._return(strain, state, p), state["plastic_strain"]
-        cone = r.g * (r.s / r.norm + p.beta / 3 * ufl.Identity(3))
-        apex = strain - ep - p.Y / (3 * p.beta * bulk_modulus(p)) * ufl.Identity(3)
-        rest = ufl.as_tensor([[0.0] * 3] * 3)
-        grown = ufl.conditional(r.yields, ufl.conditional(r.apex, apex, cone), rest)
-        return {"plastic_strain": ep + grown}
+        """Return ep = eps - C^-1 sigma."""
+        sigma, yields = (
+            DruckerPrager.stress(strain, state, p),
+            DruckerPrager._return(strain, state, p)[4],
+        )
+        elastic = ufl.dev(sigma) / (2 * shear_modulus(p))
+        elastic += ufl.tr(sigma) / (9 * bulk_modulus(p)) * ufl.Identity(3)
+        old = state["plastic_strain"]
+        return {"plastic_strain": ufl.conditional(yields, strain - elastic, old)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import ufl
-from dolfinx_mortar.materials.protocol import Material, Parameter, Range, check_fields
+from dolfinx_mortar.materials.protocol import CheckedLaw, Parameter, Range
 from ufl.core.expr import Expr
 
 
@@ -27,7 +27,7 @@ def bulk_modulus(p: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Elastic(Material):
+class Elastic(CheckedLaw):
     """Hooke's law, sigma = lambda tr(eps) I + 2 mu eps, isotropic.
 
     lambda = E nu / ((1 + nu) (1 - 2 nu)), mu = E / (2 (1 + nu)).
@@ -39,7 +39,6 @@ class Elastic(Material):
     E: Parameter  # Young's modulus
     nu: Parameter  # Poisson's ratio
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     isotropic: ClassVar[bool] = True
     linear: ClassVar[bool] = True
     splits: ClassVar[bool] = True
@@ -47,9 +46,6 @@ class Elastic(Material):
         "E": (0.0, math.inf, False),
         "nu": (-1.0, 0.5, False),
     }
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
@@ -64,12 +60,8 @@ class Elastic(Material):
         )
 
 
-_POSITIVE: Range = (0.0, math.inf, False)
-_ANY: Range = (-math.inf, math.inf, False)
-
-
 @dataclass(frozen=True)
-class Orthotropic(Material):
+class Orthotropic(CheckedLaw):
     """Hooke's law with three planes of symmetry, in axes 1, 2, 3 of the material.
 
         eps_11 = sigma_11 / E1 - nu12 sigma_22 / E1 - nu13 sigma_33 / E1  (nu21 / E2 = nu12 / E1 ..)
@@ -97,25 +89,25 @@ class Orthotropic(Material):
     pitch: Parameter = 0.0  # radians about the new y
     roll: Parameter = 0.0  # radians about the new x
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
     linear: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
-        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), _POSITIVE),
-        **dict.fromkeys(("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), _ANY),
+        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), (0.0, math.inf, False)),
+        **dict.fromkeys(
+            ("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), (-math.inf, math.inf, False)
+        ),
     }
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
         """Positive leading minors of the compliance."""
+        coupled = 2 * p.nu12 * p.nu23 * p.nu13 * p.E3 / p.E1
+        pairs = p.nu12**2 * p.E2 / p.E1 + p.nu23**2 * p.E3 / p.E2 + p.nu13**2 * p.E3 / p.E1
         return {
             "nu12^2 < E1 / E2": p.nu12**2 < p.E1 / p.E2,
             "nu13^2 < E1 / E3": p.nu13**2 < p.E1 / p.E3,
             "nu23^2 < E2 / E3": p.nu23**2 < p.E2 / p.E3,
             "nu12^2 E2 / E1 + nu23^2 E3 / E2 + nu13^2 E3 / E1 + 2 nu12 nu23 nu13 E3 / E1 < 1": (
-                _determinant(p) > 0
+                pairs + coupled < 1
             ),
         }
 
@@ -124,17 +116,10 @@ class Orthotropic(Material):
         """Return C : strain."""
         R = _axes(p)
         e = R.T * strain * R
-        nu21, nu31, nu32 = p.nu12 * p.E2 / p.E1, p.nu13 * p.E3 / p.E1, p.nu23 * p.E3 / p.E2
-        normal = [
-            [1 - p.nu23 * nu32, nu21 + nu31 * p.nu23, nu31 + nu21 * nu32],
-            [p.nu12 + nu32 * p.nu13, 1 - p.nu13 * nu31, nu32 + p.nu12 * nu31],
-            [p.nu13 + p.nu12 * p.nu23, p.nu23 + nu21 * p.nu13, 1 - p.nu12 * nu21],
-        ]
-        moduli, D = (p.E1, p.E2, p.E3), _determinant(p)
-        s1, s2, s3 = (
-            E / D * sum(c * e[j, j] for j, c in enumerate(row))
-            for E, row in zip(moduli, normal, strict=True)
-        )
+        a, b, c = -p.nu12 / p.E1, -p.nu13 / p.E1, -p.nu23 / p.E2
+        compliance = ufl.as_tensor([[1 / p.E1, a, b], [a, 1 / p.E2, c], [b, c, 1 / p.E3]])
+        normal = ufl.inv(compliance) * ufl.as_vector([e[i, i] for i in range(3)])
+        s1, s2, s3 = (normal[i] for i in range(3))
         s12, s13, s23 = 2 * p.G12 * e[0, 1], 2 * p.G13 * e[0, 2], 2 * p.G23 * e[1, 2]
         return R * ufl.as_tensor([[s1, s12, s13], [s12, s2, s23], [s13, s23, s3]]) * R.T
 
@@ -147,12 +132,6 @@ class Orthotropic(Material):
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return C : strain."""
         return Orthotropic.elastic_stress(strain, p)
-
-
-def _determinant(p: Any) -> Any:
-    coupled = 2 * p.nu12 * p.nu23 * p.nu13 * p.E3 / p.E1
-    pairs = p.nu12**2 * p.E2 / p.E1 + p.nu23**2 * p.E3 / p.E2 + p.nu13**2 * p.E3 / p.E1
-    return 1 - pairs - coupled
 
 
 def _axes(p: Any) -> Expr:

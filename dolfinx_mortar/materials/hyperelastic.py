@@ -15,13 +15,19 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.logarithmic import as_tensors
-from dolfinx_mortar.materials.protocol import Material, Parameter, PointwiseLaw, Range, check_fields
+from dolfinx_mortar.materials.protocol import (
+    CheckedLaw,
+    Parameter,
+    PointwiseLaw,
+    Range,
+    check_fields,
+)
 from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
 from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
-class NeoHooke(Material):
+class NeoHooke(CheckedLaw):
     """psi(F) = mu/2 (tr C - 3 - 2 ln J) + lambda/2 (ln J)^2, C = F^T F, J = det F.
 
     P = mu (F - F^-T) + lambda ln J F^-T. For small strains it is Hooke's law with E and nu. Source:
@@ -34,27 +40,16 @@ class NeoHooke(Material):
     E: Parameter  # Young's modulus at F = I
     nu: Parameter  # Poisson's ratio at F = I
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    linear: ClassVar[bool] = False
     strain: ClassVar[str] = "finite"
-    ranges: ClassVar[Mapping[str, Range]] = {
-        "E": (0.0, math.inf, False),
-        "nu": (-1.0, 0.5, False),
-    }
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
+    ranges: ClassVar[Mapping[str, Range]] = Elastic.ranges
     elastic_stress = staticmethod(Elastic.elastic_stress)
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return psi."""
         log_J = ufl.ln(ufl.det(F))
-        return (
-            shear_modulus(p) / 2 * (ufl.inner(F, F) - 3 - 2 * log_J)
-            + lame_modulus(p) / 2 * log_J**2
-        )
+        isochoric = shear_modulus(p) / 2 * (ufl.inner(F, F) - 3 - 2 * log_J)
+        return isochoric + lame_modulus(p) / 2 * log_J**2
 
     @staticmethod
     def volumetric(J: Expr, p: Any) -> Expr:
@@ -70,7 +65,7 @@ class NeoHooke(Material):
 
 
 @dataclass(frozen=True)
-class MooneyRivlin(Material):
+class MooneyRivlin(CheckedLaw):
     """psi(F) = C10 (I1 - 3) + C01 (I2 - 3) + K/2 (J - 1)^2, J = det F.
 
     I1 = tr C / J^(2/3) and I2 = (tr(C)^2 - tr(C^2)) / (2 J^(4/3)), C = F^T F, are independent of
@@ -85,17 +80,12 @@ class MooneyRivlin(Material):
     C01: Parameter  # stress
     K: Parameter  # bulk modulus
 
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    linear: ClassVar[bool] = False
     strain: ClassVar[str] = "finite"
     ranges: ClassVar[Mapping[str, Range]] = {
         "C10": (-math.inf, math.inf, False),
         "C01": (-math.inf, math.inf, False),
         "K": (0.0, math.inf, False),
     }
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
@@ -105,8 +95,7 @@ class MooneyRivlin(Material):
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
         """Return C : strain."""
-        mu = 2 * (p.C10 + p.C01)
-        return p.K * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * ufl.dev(strain)
+        return _elastic_stress(strain, p.K, 4 * (p.C10 + p.C01))
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -162,7 +151,7 @@ class Ogden(PointwiseLaw):
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
         """Return C : strain."""
-        return p.K * ufl.tr(strain) * ufl.Identity(3) + _twice_shear_modulus(p) * ufl.dev(strain)
+        return _elastic_stress(strain, p.K, _twice_shear_modulus(p))
 
     @staticmethod
     def energy(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> Floats:
@@ -183,7 +172,7 @@ class Ogden(PointwiseLaw):
         """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) from the principal Kirchhoff stresses."""
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
-        logarithms.decompose(F - np.eye(3), np.zeros((1, 3, 3)), True, x, logs, *tensors)
+        logarithms.decompose(F - np.eye(3), np.empty((0, 3, 3)), x, logs, *tensors)
         e, J = logs - logs.mean(axis=1, keepdims=True), np.exp(logs.sum(axis=1))[:, None]
         T, L, G = p.K[:, None] * (J - 1) * J * np.ones(3), np.zeros((q, 3, 3)), np.zeros((q, 3))
         L += (p.K[:, None] * (2 * J - 1) * J)[..., None]
@@ -199,10 +188,14 @@ class Ogden(PointwiseLaw):
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
             G += alpha[:, None] / 2 * power[:, second] * share
         P, A = np.empty((q, 9)), np.empty((q, 45))
-        law = np.hstack([T, L[:, *np.triu_indices(3)], G])
+        law = np.hstack([T, L.reshape(q, 9), G])
         logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
         return (*as_tensors(P, A, GRADIENT[3]), {})
 
 
 def _twice_shear_modulus(p: Any) -> Any:
     return sum(mu * alpha for mu, alpha in zip(p.mu, p.alpha, strict=True))
+
+
+def _elastic_stress(strain: Expr, K: Any, twice_mu: Any) -> Expr:
+    return K * ufl.tr(strain) * ufl.Identity(3) + twice_mu * ufl.dev(strain)

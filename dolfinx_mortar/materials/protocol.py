@@ -201,6 +201,16 @@ class Material(Protocol):
         return {}
 
 
+class CheckedLaw(Material):
+    """A law of this package: its numbers are checked when it is made."""
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 class PointwiseLaw(Material):
     """A law without a closed form: stress, tangent and new state at all points, from arrays.
 
@@ -285,8 +295,9 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
     parts: dict[str, Any] = {}
-    for part in ("elastic_stress", "energy", "stress", "updated_state", "update"):
+    for part in ("elastic_stress", "energy", "updated_state", "update"):
         parts[part] = _method(kind, part)
+    parts["stress"] = _fitting(material, "stress")
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
     needed = {"state": state is not None, "linear": linear is not None}
     needed["elastic_stress"] = parts["elastic_stress"] is not None

@@ -363,12 +363,16 @@ def _normal_at_points(
         some = _flat(strain[points], 1.0 + z[:, 0] if finite else z[:, 0])
         here = ({n: v[points] for n, v in values.items()} for values in (state, parameters))
         found = _updated(law, some, next(here), grouped(next(here)))
-        C, norm = found.tangent, np.linalg.norm(found.stress, axis=(1, 2))
-        stiffest = np.abs(C).max(axis=(1, 2, 3, 4), initial=0.0)
-        parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
-        return np.stack(parts, axis=1)[:, None]
+        return normal_equation(found.stress.reshape(-1, 9), found.tangent.reshape(-1, 81))
 
     return solve_normal_strain(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
+
+
+def normal_equation(stress: Floats, tangent: Floats) -> Floats:
+    """Values of an `Equation` at q points, of components (q, ..) of which zz is the last."""
+    stiffest = np.abs(tangent).max(axis=1, initial=0.0)
+    parts = [stress[:, -1], tangent[:, -1], stiffest, np.linalg.norm(stress, axis=1)]
+    return np.stack(parts, axis=1)[:, None]
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:

@@ -20,9 +20,8 @@ INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENT
 
 
 def from_components(c: Expr) -> Expr:
-    """Tensor (3, 3) of stored components c (4 or 6)."""
-    xx, yy, zz, xy = (c[i] for i in range(4))
-    yz, xz = (c[4], c[5]) if c.ufl_shape == (6,) else (0, 0)
+    """Tensor (3, 3) of stored components c (3, 4 or 6)."""
+    xx, yy, zz, xy, yz, xz = (c[i] if i < c.ufl_shape[0] else 0 for i in range(6))
     return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -71,7 +70,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 
 
 def tensor_of(components: Floats) -> Floats:
-    """Symmetric tensors (q, 3, 3) of stored components (q, 4 or 6).
+    """Symmetric tensors (q, 3, 3) of stored components (q, 3, 4 or 6).
 
     >>> tensor_of(np.array([[1.0, 2.0, 3.0, 4.0]]))[0].tolist()
     [[1.0, 4.0, 0.0], [4.0, 2.0, 0.0], [0.0, 0.0, 3.0]]
@@ -83,7 +82,7 @@ def tensor_of(components: Floats) -> Floats:
 
 
 def stored(tensors: Floats, size: int = 6) -> Floats:
-    """The first `size` (4 or 6) stored components of tensors (q, 3, 3)."""
+    """The first `size` (3, 4 or 6) stored components of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
     return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
 
@@ -94,3 +93,8 @@ def mean_of_shears(tangent: Floats) -> Floats:
     for k, m in INDEX[3:]:
         mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2
     return mean
+
+
+def upper_triangle(size: int) -> list[tuple[int, int]]:
+    """Row and column of the upper triangle of a matrix, row by row."""
+    return [(i, j) for i in range(size) for j in range(i, size)]

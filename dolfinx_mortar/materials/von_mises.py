@@ -17,10 +17,9 @@ from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,
-    Material,
+    CheckedLaw,
     Parameter,
     Range,
-    check_fields,
     check_parameters,
 )
 from ufl.core.expr import Expr
@@ -32,32 +31,84 @@ LEAST_RATIO = -0.9
 ACCUMULATED = "accumulated_plastic_strain"
 
 
-def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr]:
-    """Return the trial shifted stress xi, and |xi|, differentiable also at 0."""
-    mu = shear_modulus(p)
-    xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
-    return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
+def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
+    """Return k and H, zero without k."""
+    return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
 
-def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
-    """Return d sigma / d eps : direction of sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|.
+@dataclass(frozen=True)
+class RadialReturn(CheckedLaw):
+    """Von Mises plasticity with the radius R(k) of a subclass; I' = R - Y."""
 
-    With t = g / |xi| and s = dg / d|xi|, both 0 in elastic states,
+    E: Parameter  # Young's modulus
+    nu: Parameter  # Poisson's ratio
+    Y: Parameter  # first yield radius, Frobenius norm: sqrt(2/3) x uniaxial yield stress
+    a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
 
-        C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
-    """
-    xi, norm, g, slope = law._flow(strain, state, p)
-    xi, mu, turn = ufl.dev(xi), shear_modulus(p), g / norm
-    trace = (lame_modulus(p) + 4 / 3 * mu**2 * turn) * ufl.tr(direction) * ufl.Identity(3)
-    along = 4 * mu**2 * (slope - turn) / norm**2 * ufl.inner(xi, direction) * xi
-    return trace + 2 * mu * (1 - 2 * mu * turn) * direction - along
+    _radius: ClassVar[Callable[..., Any]]  # k, H, p -> R
+    _increment: ClassVar[Callable[..., Any]]  # |xi| - R(k), k, H, p -> g > 0 and dg / d|xi|
+    _hardening: ClassVar[Callable[..., Any]]  # k, H, p -> I
+    splits: ClassVar[bool] = True
+    elastic_stress = staticmethod(Elastic.elastic_stress)
 
+    @property
+    def isotropic(self) -> bool:
+        """Whether there is no kinematic hardening."""
+        return isinstance(self.a, Real) and self.a == 0
 
-def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """Plastic strain and, with isotropic hardening, k at the end of the step."""
-    xi, norm, g, _ = law._flow(strain, state, p)
-    new = {PLASTIC: state[PLASTIC] + g / norm * xi}
-    return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
+    @classmethod
+    def _flow(
+        cls, strain: Expr, state: Mapping[str, Expr], p: Any
+    ) -> tuple[Expr, Expr, Expr, Expr]:
+        """Return xi, |xi| (differentiable also at 0), the increment g of k, and dg / d|xi|."""
+        mu, memory = shear_modulus(p), _memory(state, p)
+        xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state[PLASTIC]
+        norm, radius = ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2), cls._radius(*memory, p)
+        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
+        found = cls._increment(norm - radius, *memory, p)
+        return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
+
+    @classmethod
+    def energy(cls, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return psi."""
+        ep, (_, norm, g, _) = state[PLASTIC], cls._flow(strain, state, p)
+        flow = (2 * shear_modulus(p) + p.a) / 2 * g**2 + (p.Y - norm) * g
+        k, H = _memory(state, p)
+        stored = p.a / 2 * ufl.inner(ep, ep) + cls._hardening(k + g, H, p)
+        return Elastic.energy(strain - ep, {}, p) + stored + flow
+
+    @classmethod
+    def stress(cls, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|."""
+        xi, norm, g, _ = cls._flow(strain, state, p)
+        elastic = Elastic.elastic_stress(strain - state[PLASTIC], p)
+        return elastic - 2 * shear_modulus(p) * g / norm * xi
+
+    @classmethod
+    def tangent(cls, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
+        """Return d sigma / d eps : direction.
+
+        With t = g / |xi| and s = dg / d|xi|, both 0 in elastic states,
+
+            C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
+        """
+        xi, norm, g, slope = cls._flow(strain, state, p)
+        xi, mu, turn = ufl.dev(xi), shear_modulus(p), g / norm
+        trace = (lame_modulus(p) + 4 / 3 * mu**2 * turn) * ufl.tr(direction) * ufl.Identity(3)
+        along = 4 * mu**2 * (slope - turn) / norm**2 * ufl.inner(xi, direction) * xi
+        return trace + 2 * mu * (1 - 2 * mu * turn) * direction - along
+
+    @classmethod
+    def updated_state(cls, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
+        """Plastic strain and, with isotropic hardening, k at the end of the step."""
+        xi, norm, g, _ = cls._flow(strain, state, p)
+        new = {PLASTIC: state[PLASTIC] + g / norm * xi}
+        return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
+
+    @staticmethod
+    def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
+        """Back stress a ep (q, components)."""
+        return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
@@ -80,7 +131,7 @@ def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
 
 
 @dataclass(frozen=True)
-class VonMises(Material):
+class VonMises(RadialReturn):
     """Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
 
     With the committed plastic strain ep_n and the trial shifted stress
@@ -107,15 +158,8 @@ class VonMises(Material):
         ValueError: naming a parameter that is out of its range.
     """
 
-    E: Parameter  # Young's modulus
-    nu: Parameter  # Poisson's ratio
-    Y: Parameter  # yield radius, Frobenius norm of the deviator: sqrt(2/3) x uniaxial yield stress
-    a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
     H: Parameter = 0.0  # isotropic modulus, yield radius per k: 2/3 x uniaxial one
 
-    linear: ClassVar[bool] = False
-    splits: ClassVar[bool] = True
-    elastic_stress = staticmethod(Elastic.elastic_stress)
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
         "Y": (0.0, math.inf, False),
@@ -123,19 +167,11 @@ class VonMises(Material):
         "H": (0.0, math.inf, True),
     }
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     @property
     def state(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
         """Plastic strain, k with isotropic hardening."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
-
-    @property
-    def isotropic(self) -> bool:
-        """Whether there is no kinematic hardening."""
-        return isinstance(self.a, Real) and self.a == 0
 
     @property
     def normal_strain(self) -> Callable[..., Expr] | None:
@@ -177,35 +213,22 @@ class VonMises(Material):
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
-    def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
-        return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
+    def _radius(k: Expr, H: Expr, p: Any) -> Expr:
+        return p.Y + H * k
 
     @staticmethod
-    def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, dgam and d dgam / d|xi|."""
-        xi, norm = shifted_stress(strain, state, p)
-        k, H = VonMises._memory(state, p)
-        radius, slope = p.Y + H * k, 1 / (2 * shear_modulus(p) + p.a + H)
-        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
-        flows = ufl.conditional(yields, slope, 0.0)
-        return xi, norm, flows * (norm - radius), flows
+    def _increment(excess: Expr, k: Expr, H: Expr, p: Any) -> tuple[Expr, Expr]:
+        slope = 1 / (2 * shear_modulus(p) + p.a + H)
+        return slope * excess, slope
 
     @staticmethod
-    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi."""
-        ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
-        _, _, g, _ = VonMises._flow(strain, state, p)
-        stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
-        relaxation = (2 * shear_modulus(p) + p.a + H) / 2 * g**2
-        return Elastic.energy(strain - ep, {}, p) + stored - relaxation
-
-    tangent = classmethod(_tangent)
-    updated_state = classmethod(_updated_state)  # type: ignore[assignment]
+    def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
+        return H / 2 * k**2
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
-        ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
+        ep, (k, H) = state[PLASTIC], _memory(state, p)
         e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
         S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]
         D = 2 * mu * (e[0, 0] - e[1, 1]) - p.a * (ep[0, 0] - ep[1, 1])
@@ -219,11 +242,6 @@ class VonMises(Material):
         plastic = ep[2, 2] - phi * fallen / 3
         stress = (1 + H * phi) * fallen - 3 * p.a * plastic  # xx + yy
         return plastic - p.nu / p.E * stress
-
-    @staticmethod
-    def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Back stress a ep (q, components)."""
-        return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
 # Below it exp(3 y) is round-off, and three terms of the series of omega are exact.
@@ -262,7 +280,7 @@ def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[E
 
 
 @dataclass(frozen=True)
-class VonMisesVoce(Material):
+class VonMisesVoce(RadialReturn):
     """Small-strain von Mises plasticity with saturating isotropic and kinematic hardening.
 
     As `VonMises`, but the yield radius is
@@ -285,33 +303,27 @@ class VonMisesVoce(Material):
         ValueError: naming a parameter that is out of its range.
     """
 
-    E: Parameter  # Young's modulus
-    nu: Parameter  # Poisson's ratio
-    Y: Parameter  # first yield radius, as in `VonMises`
-    a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
     H: Parameter  # isotropic modulus after saturation, as in `VonMises`
     Q: Parameter  # growth of the radius by saturation: sqrt(2/3) x that of the yield stress
     b: Parameter  # rate of saturation, per k: sqrt(2/3) x that per equivalent plastic strain
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {PLASTIC: (3, 3), ACCUMULATED: ()}
-    linear: ClassVar[bool] = False
-    splits: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
         **VonMises.ranges,
         "Q": (0.0, math.inf, True),
         "b": (0.0, math.inf, False),
     }
-    elastic_stress = staticmethod(Elastic.elastic_stress)
-    output = staticmethod(VonMises.output)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    isotropic = VonMises.isotropic
 
     @classmethod
     def from_uniaxial(
-        cls, E: Parameter, nu: Parameter, yield_stress: Parameter, **hardening: Parameter
+        cls,
+        E: Parameter,
+        nu: Parameter,
+        yield_stress: Parameter,
+        *,
+        saturation: Parameter,
+        rate: Parameter,
+        modulus: Parameter = 0.0,
     ) -> VonMisesVoce:
         """Create the law from a tension test with yield stress s(p), p the plastic strain.
 
@@ -319,59 +331,37 @@ class VonMisesVoce(Material):
 
         Args:
             yield_stress: at p = 0.
-            hardening: saturation, rate (per plastic strain), and optionally modulus (0).
+            saturation: growth of the yield stress.
+            rate: of saturation, per plastic strain.
+            modulus: after saturation.
 
         Raises:
             ValueError: naming an argument that is out of its range.
         """
-        known = {"modulus": 0.0} | hardening
-        if set(known) != {"saturation", "rate", "modulus"}:
-            raise ValueError(
-                f"VonMisesVoce.from_uniaxial: got {', '.join(hardening) or 'nothing'}; it takes "
-                "saturation=, rate= and optionally modulus=."
-            )
         check_parameters(
             "VonMisesVoce.from_uniaxial",
             yield_stress=(yield_stress, 0.0, math.inf, False),
-            modulus=(known["modulus"], 0.0, math.inf, True),
-            saturation=(known["saturation"], 0.0, math.inf, True),
-            rate=(known["rate"], 0.0, math.inf, False),
+            modulus=(modulus, 0.0, math.inf, True),
+            saturation=(saturation, 0.0, math.inf, True),
+            rate=(rate, 0.0, math.inf, False),
         )
         root = math.sqrt(2 / 3)
         return cls(
-            E, nu, root * yield_stress, 0.0, 2 / 3 * known["modulus"],
-            root * known["saturation"], root * known["rate"],
+            E, nu, root * yield_stress, 0.0, 2 / 3 * modulus,
+            root * saturation, root * rate,
         )  # fmt: skip
 
     @staticmethod
-    def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, the increment g of k and dg / d|xi|."""
-        xi, norm = shifted_stress(strain, state, p)
-        k = state[ACCUMULATED]
-        rest = p.Q * ufl.exp(-p.b * k)
-        radius = p.Y + p.H * k + p.Q - rest
-        M = 2 * shear_modulus(p) + p.a + p.H
+    def _radius(k: Expr, H: Expr, p: Any) -> Expr:
+        return p.Y + H * k + p.Q - p.Q * ufl.exp(-p.b * k)
+
+    @staticmethod
+    def _increment(excess: Expr, k: Expr, H: Expr, p: Any) -> tuple[Expr, Expr]:
+        M = 2 * shear_modulus(p) + p.a + H
         # split: one part is the same at all points of a cell
-        found = increment(norm - radius, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
-        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
-        return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
+        log_ratio = ufl.ln(p.b * p.Q / M) - p.b * k
+        return increment(excess, p.Q * ufl.exp(-p.b * k), M, p.b, log_ratio)
 
     @staticmethod
-    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi."""
-        ep, k = state[PLASTIC], state[ACCUMULATED]
-        _, norm, g, _ = VonMisesVoce._flow(strain, state, p)
-        new = k + g
-        stored = p.H / 2 * new**2 + p.Q * (new + (ufl.exp(-p.b * new) - 1) / p.b)
-        flow = (2 * shear_modulus(p) + p.a) / 2 * g**2 + (p.Y - norm) * g
-        return Elastic.energy(strain - ep, {}, p) + p.a / 2 * ufl.inner(ep, ep) + stored + flow
-
-    @staticmethod
-    def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return sigma = C (eps - ep_n) - 2 mu g n."""
-        xi, norm, g, _ = VonMisesVoce._flow(strain, state, p)
-        elastic = Elastic.elastic_stress(strain - state[PLASTIC], p)
-        return elastic - 2 * shear_modulus(p) * g / norm * xi
-
-    tangent = classmethod(_tangent)
-    updated_state = classmethod(_updated_state)  # type: ignore[assignment]
+    def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
+        return H / 2 * k**2 + p.Q * (k + (ufl.exp(-p.b * k) - 1) / p.b)

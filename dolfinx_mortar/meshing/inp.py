@@ -27,7 +27,6 @@ from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.von_mises import VonMises
-from dolfinx_mortar.meshing.msh import are_in
 from dolfinx_mortar.tags import Tags
 
 log = logging.getLogger(__name__)
@@ -649,7 +648,8 @@ def _find_facets(domain: dmesh.Mesh, surfaces: Mapping[str, Longs]) -> dict[str,
     for name, rows in surfaces.items():
         of = np.isin(corners, rows).all(axis=1)
         if rows.shape[1] > 1:
-            of &= are_in(corners, rows)
+            known = {tuple(row) for row in rows}
+            of &= np.array([tuple(row) in known for row in corners], dtype=bool)
         found[name] = facets[of]
     counts = domain.comm.allreduce(np.array([len(own) for own in found.values()], dtype=int))
     if lost := [name for name, n in zip(found, counts, strict=True) if not n]:

@@ -17,7 +17,7 @@ import numpy as np
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
@@ -38,8 +38,13 @@ class Group:
     dim: int
     tag: int
     name: str
-    elements: Longs  # (m,) numbers of its elements
+    entities: list[int]  # that have elements
     nodes: dict[int, Longs]  # (elements, nodes of an element) by Gmsh's number of their kind
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return sum(map(len, self.nodes.values()))
 
     def __str__(self) -> str:
         return f"{self.name!r}" if self.name else f"number {self.tag}"
@@ -77,7 +82,11 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
             if comm.rank == 0:
                 gmsh = _open(file, stack)
                 groups = _check(gmsh.model, _read_groups(gmsh.model, file), f"path = {str(file)!r}")
-                model = _create_model(gmsh, groups)
+                model = gmsh.model
+                model.removePhysicalGroups()
+                for g in groups:
+                    model.addPhysicalGroup(g.dim, g.entities, g.tag)
+                model.mesh.renumberNodes()
         told = comm.bcast([(g.dim, g.tag, g.name) for g in groups])
         dim = max(d for d, _, _ in told)
         domain, cell_tags, facet_tags = compat.mesh_from_gmsh(model, comm, dim)
@@ -93,13 +102,21 @@ def _open(file: Path, stack: ExitStack) -> Any:
     gmsh puts elements without a tag of geometry (meshio) in entity 0: then tags of groups replace
     those of entities.
     """
-    _check_file(file)
+    if not file.is_file():
+        raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
+    with file.open("rb") as stream:
+        if b"$MeshFormat" not in stream.read(4096):
+            raise ValueError(
+                f"path = {str(file)!r} is no mesh of Gmsh (version 2 or 4): it does not begin with "
+                "$MeshFormat. Make one of a geometry with: gmsh -3 FILE -format msh41"
+            )
     gmsh = stack.enter_context(gmsh_model())
     try:
         gmsh.merge(str(file))
         if all(tag for dim, tag in gmsh.model.getEntities() if dim):
             return gmsh
-        _renew(gmsh)
+        gmsh.model.remove()
+        gmsh.model.add(file.stem)
         gmsh.option.setNumber("Mesh.SwitchElementTags", 1)
         gmsh.merge(str(file))
     except Exception as error:  # gmsh raises bare Exception
@@ -111,23 +128,6 @@ def _open(file: Path, stack: ExitStack) -> Any:
     return gmsh
 
 
-def _renew(gmsh: Any) -> None:
-    name = gmsh.model.getCurrent()
-    gmsh.model.remove()
-    gmsh.model.add(name)
-
-
-def _check_file(file: Path) -> None:
-    if not file.is_file():
-        raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
-    with file.open("rb") as stream:
-        if b"$MeshFormat" not in stream.read(4096):
-            raise ValueError(
-                f"path = {str(file)!r} is no mesh of Gmsh (version 2 or 4): it does not begin with "
-                "$MeshFormat. Make one of a geometry with: gmsh -3 FILE -format msh41"
-            )
-
-
 def _read_groups(model: Any, file: Path) -> list[Group]:
     """Groups with elements or a name, merged by name; names from the file, as gmsh loses some."""
     names = {(dim, tag): name for dim, tag, name in _named(file)}
@@ -137,14 +137,20 @@ def _read_groups(model: Any, file: Path) -> list[Group]:
         alike.setdefault((dim, names.get((dim, tag)) or tag), []).append(tag)
     found = []
     for (dim, name), tags in alike.items():
-        entities = {
-            int(entity)
-            for tag in tags
-            if (dim, tag) in filled
-            for entity in model.getEntitiesForPhysicalGroup(dim, tag)
-        }
-        of = name if isinstance(name, str) else ""
-        found.append(_read_group(model, dim, tags[0], of, sorted(entities)))
+        entities: list[int] = []
+        parts: dict[int, list[Longs]] = {}
+        groups = [(dim, tag) for tag in tags if (dim, tag) in filled]
+        for entity in sorted(
+            {int(e) for g in groups for e in model.getEntitiesForPhysicalGroup(*g)}
+        ):
+            kinds, numbers, nodes = model.mesh.getElements(dim, entity)
+            entities += [entity] if len(kinds) else []
+            for kind, every, flat in zip(kinds, numbers, nodes, strict=True):
+                own = np.asarray(flat, dtype=np.int64).reshape(len(every), -1)
+                parts.setdefault(int(kind), []).append(own)
+        by_kind = {kind: np.concatenate(some) for kind, some in parts.items()}
+        text = name if isinstance(name, str) else ""
+        found.append(Group(dim, tags[0], text, entities, by_kind))
     return found
 
 
@@ -157,36 +163,6 @@ def _named(file: Path) -> Iterator[tuple[int, int, str]]:
                 yield int(found[1]), int(found[2]), found[3].decode(errors="replace")
 
 
-def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
-    found: dict[int, list[tuple[Longs, Longs]]] = {}
-    for entity in entities:
-        for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
-            tags, nodes = (np.asarray(a, dtype=np.int64) for a in arrays)
-            found.setdefault(int(kind), []).append((tags, nodes.reshape(len(tags), -1)))
-    numbers = [tags for parts in found.values() for tags, _ in parts]
-    elements = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
-    by_kind = {kind: np.concatenate([n for _, n in parts]) for kind, parts in found.items()}
-    return Group(dim, tag, name, elements, by_kind)
-
-
-def _create_model(gmsh: Any, groups: list[Group]) -> Any:
-    tags, x, _ = gmsh.model.mesh.getNodes()
-    parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
-    used = np.unique(np.concatenate(parts))
-    order = np.argsort(tags)
-    x = x.reshape(-1, 3)[order[np.searchsorted(tags[order], used)]]
-    _renew(gmsh)
-    entities = [gmsh.model.addDiscreteEntity(g.dim) for g in groups]
-    numbers = np.arange(1, len(used) + 1)
-    gmsh.model.mesh.addNodes(groups[0].dim, entities[0], numbers, x.ravel())
-    for g, entity in zip(groups, entities, strict=True):
-        for kind, nodes in g.nodes.items():
-            positions = np.searchsorted(used, nodes) + 1
-            gmsh.model.mesh.addElementsByType(entity, kind, [], positions.ravel())
-        gmsh.model.addPhysicalGroup(g.dim, [entity], g.tag)
-    return gmsh.model
-
-
 def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
     if not groups:
         raise ValueError(
@@ -194,7 +170,7 @@ def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
             'Gmsh, Physical Volume("ball") = {1}; and Physical Surface("top") = {2}; or '
             "gmsh.model.addPhysicalGroup(dim, tags, name=...)."
         )
-    empty = [g for g in groups if g.dim > 0 and not len(g.elements)]
+    empty = [g for g in groups if g.dim > 0 and not g.size]
     if empty:
         raise ValueError(
             f"{path}: the physical group {', '.join(map(str, empty))} is empty (dimension "
@@ -226,10 +202,15 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}
-    left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
-    left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
-    for d, n in reversed(left.items()):
+
+    def count(entities: list[tuple[int, int]]) -> int:
+        """Number of elements, ghosts of partitions only once."""
+        tags = [some for at in entities for some in model.mesh.getElements(*at)[1]]
+        return len(np.unique(np.concatenate([[], *tags])))
+
+    inside = [(dim, entity) for g in bodies for entity in g.entities]
+    for d in range(3, dim - 1, -1):
+        n = count([(d, -1)]) - (count(inside) if d == dim else 0)
         if n:
             raise ValueError(
                 f"{path}: {n} cells of dimension {d} are in no physical group: give each body a "
@@ -262,24 +243,17 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
         found = model.mesh.getElementFaceNodes(kind, k, primary=True)
     every = np.asarray(found, dtype=np.int64).reshape(-1, k)
     facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
+    known = {tuple(row) for row in np.sort(facets, axis=1)}
     for g in sides:
-        off = sum(int((~are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
+        rows = (np.sort(nodes[:, :k], axis=1) for nodes in g.nodes.values())
+        off = sum(tuple(row) not in known for some in rows for row in some)
         if off:
             raise ValueError(
-                f"{path}: {off} of the {len(g.elements)} elements of the physical group {g} "
+                f"{path}: {off} of the {g.size} elements of the physical group {g} "
                 f"(dimension {g.dim}) are no facets of a body: if they bound one that is in no "
                 f"group, give it a physical {('surface', 'volume')[g.dim - 1]}; take what bounds "
                 "no body, such as a section, an axis or the surface of a tool, out of the groups."
             )
-
-
-def are_in(facets: Longs, known: Longs) -> Bools:
-    """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
-    if facets.shape[1] != known.shape[1]:
-        return np.zeros(len(facets), dtype=bool)
-    every = np.sort(np.concatenate([known, facets]), axis=1)
-    number = np.unique(every, axis=0, return_inverse=True)[1].ravel()
-    return np.isin(number[len(known) :], number[: len(known)])
 
 
 def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
@@ -299,17 +273,17 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 def _check_apart(groups: list[Group], path: str) -> None:
     for kind in sorted({kind for g in groups for kind in g.nodes}):
         parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
-        owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])
+        owner = np.repeat(np.arange(len(parts)), [len(n) for _, n in parts])
         nodes = np.sort(np.concatenate([n for _, n in parts]), axis=1)
-        order = np.lexsort([owner, *nodes.T])
-        same = (nodes[order[1:]] == nodes[order[:-1]]).all(axis=1)
-        pairs = np.stack([owner[order[:-1]], owner[order[1:]]])[:, same]
+        _, first, same = np.unique(nodes, axis=0, return_index=True, return_inverse=True)
+        before = first[same.ravel()]
+        pairs = np.stack([owner[before], owner])[:, before != np.arange(len(owner))]
         apart = pairs[:, pairs[0] != pairs[1]]
         if apart.size:
-            first, second = (parts[i][0] for i in apart[:, 0])
+            one, other = (parts[i][0] for i in apart[:, 0])
             raise ValueError(
-                f"{path}: {apart.shape[1]} elements of dimension {first.dim} are in two physical "
-                f"groups, such as {first} and {second}, but an element has one "
+                f"{path}: {apart.shape[1]} elements of dimension {one.dim} are in two physical "
+                f"groups, such as {one} and {other}, but an element has one "
                 "tag: leave it out of one of them. If the groups are the two sides of an "
                 "interface, the bodies share their nodes there and are one: make each with a "
                 "boundary of its own (in Gmsh, do not fragment them)."

@@ -4,7 +4,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -18,21 +17,21 @@ from dolfinx import mesh as dmesh
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import POSITIVE, array, check, number, one_of
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.tags import Tags
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 
 GMSH_OPTIONS = {
     "General.Terminal": 0.0,
-    "Mesh.Algorithm": 6.0,
-    "Mesh.Algorithm3D": 1.0,
+    "Mesh.Algorithm": 6.0,  # frontal Delaunay
+    "Mesh.Algorithm3D": 10.0,  # HXT
     "Mesh.MeshSizeExtendFromBoundary": 0.0,
     "Mesh.MeshSizeFromCurvature": 0.0,
     "Mesh.MeshSizeFromPoints": 0.0,
     "Mesh.MeshSizeMax": 1e22,
     "Mesh.MeshSizeMin": 0.0,
-    "Mesh.RecombinationAlgorithm": 1.0,
+    "Mesh.RecombinationAlgorithm": 3.0,  # blossom, full-quad
     "Mesh.RecombineAll": 0.0,
     "Mesh.SwitchElementTags": 0.0,
 }
@@ -94,9 +93,9 @@ def hertz(
         check("core", core, POSITIVE)
     check_same_on_all_ranks(**given)
 
-    def draw_block(geo: Any) -> int:
+    def draw_block(gmsh: Any) -> None:
         """Draw [0, w/2] x [-t, 0]."""
-        w, t = 0.5 * block[0], block[1]
+        geo, w, t = gmsh.model.geo, 0.5 * block[0], block[1]
         p = [geo.addPoint(x, y, 0.0) for x, y in ((0, 0), (0, -t), (w, -t), (w, 0))]
         lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]
         surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
@@ -105,45 +104,29 @@ def hertz(
             for line, nodes in zip(lines, (21, 35, 21, 35), strict=True):
                 geo.mesh.setTransfiniteCurve(line, nodes)
             geo.mesh.setTransfiniteSurface(surface)
-        return p[0]
 
-    def draw_disc(geo: Any) -> int:
+    def draw_disc(gmsh: Any) -> None:
         """Draw the quarter disc x >= 0."""
+        geo = gmsh.model.geo
         p = [geo.addPoint(x, y + gap, 0.0) for x, y in ((0, 0), (radius, radius), (0, radius))]
         arc = geo.addCircleArc(p[0], p[2], p[1])
         lines = [arc, geo.addLine(p[1], p[2]), geo.addLine(p[2], p[0])]
         geo.addPlaneSurface([geo.addCurveLoop(lines)])
-        return p[0]
 
-    def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
-        """Mesh the surface, graded from the point of ``draw``, or uniformly."""
-        quads = cell == "quadrilateral"
-        # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
-        options = {
-            "Mesh.Algorithm": 8.0 if quads else 6.0,
-            "Mesh.RecombineAll": quads,
-            "Mesh.RecombinationAlgorithm": 3.0,
-        }
-        if kind == "paper":
-            options |= {"Mesh.MeshSizeMin": uniform, "Mesh.MeshSizeMax": uniform}
-        with gmsh_model(options) as gmsh:
-            origin = draw(gmsh.model.geo)
-            gmsh.model.geo.synchronize()
-            if kind == "graded":
-                set_graded_size(gmsh, origin, size, core=core, limit=limit, beyond=limit - 1.0)
-            gmsh.model.mesh.generate(2)
-            x, cells = read_cells(gmsh, cell)
+    if kind == "paper":  # about 1200 triangles in the disc
+        sizes = 2 * (0.45 / 8.0 * radius,)
+
+    def mesh_half(draw: Callable[[Any], None], y: float, size: float) -> Arrays:
+        largest = limit * size if kind == "graded" else size
+        ends = core, core + limit - 1.0
+        x, cells = mesh_by_gmsh(draw, cell, (0.0, y, 0.0), (size, largest), ends)
         return (on_axis(x[:, :2]), cells) if half else mirrored(x[:, :2], cells)
 
     def create() -> tuple[Arrays, Arrays]:
-        lower = mesh_half(draw_block, sizes[0], block[1])
-        # gives about 1200 triangles
-        return lower, mesh_half(draw_disc, sizes[1], 0.45 / 8.0 * radius)
+        return mesh_half(draw_block, 0.0, sizes[0]), mesh_half(draw_disc, gap, sizes[1])
 
-    mesh, first = distribute(comm, create, cell)
-    mesh.name = "hertz"
-    of = {"thickness": block[1], "radius": radius, "gap": gap}
-    return name_sides(mesh, first, **of, names=("disc", "arc"), planes=("axis",))
+    sides = sides_of_contact(block[1], radius, gap, "arc", ("axis",))
+    return two_bodies(comm, create, cell, "hertz", ("block", "disc"), sides)
 
 
 def sphere(
@@ -189,35 +172,34 @@ def sphere(
     check_same_on_all_ranks(**given)
     corner = np.array([block[0] / 2, block[1] / 2, block[2]])
 
-    def of_hexahedra() -> tuple[Arrays, Arrays]:
-        n = int(np.ceil(inner / sizes[0] - 1e-9))
-        x, cells = graded_octant(inner, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
-        lower = x * [1.0, 1.0, -1.0] + 0.0, cells
-        return lower, _ball_of_hexahedra(radius, gap, inner, sizes[1])
+    def draw_block(gmsh: Any) -> None:
+        gmsh.model.occ.addBox(0, 0, -corner[2], *corner)
 
-    def draw_block(occ: Any) -> None:
-        occ.addBox(0, 0, -corner[2], *corner)
-
-    def draw_ball(occ: Any) -> None:
+    def draw_ball(gmsh: Any) -> None:
+        occ = gmsh.model.occ
         part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
         # moves the pole of the parametrisation away from the contact
         occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
         occ.translate(part, 0, 0, radius + gap)
 
-    def of_tetrahedra() -> tuple[Arrays, Arrays]:
-        far = float(np.linalg.norm(corner))
-        lower = _tetrahedra(draw_block, 0.0, inner, sizes[0], far)
-        return lower, _tetrahedra(draw_ball, gap, inner, sizes[1], 2.0 * radius)
-
     def create() -> tuple[Arrays, Arrays]:
-        bodies = of_hexahedra() if cell == "hexahedron" else of_tetrahedra()
-        return (mirrored(*bodies[0]), mirrored(*bodies[1])) if half else bodies
+        if cell == "hexahedron":
+            n = int(np.ceil(inner / sizes[0] - 1e-9))
+            x, cells = graded_octant(inner, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
+            lower = x * [1.0, 1.0, -1.0] + 0.0, cells
+            upper = _ball_of_hexahedra(radius, gap, inner, sizes[1])
+        else:
+            lower, upper = (
+                mesh_by_gmsh(draw, cell, (0.0, 0.0, z), (h, far / inner * h), (inner, far))
+                for draw, z, h, far in (
+                    (draw_block, 0.0, sizes[0], float(np.linalg.norm(corner))),
+                    (draw_ball, gap, sizes[1], 2.0 * radius),
+                )
+            )
+        return (mirrored(*lower), mirrored(*upper)) if half else (lower, upper)
 
-    mesh, first = distribute(comm, create, cell)
-    mesh.name = "sphere"
-    of = {"thickness": block[2], "radius": radius, "gap": gap}
-    planes = ("symmetry_x", "symmetry_y")
-    return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
+    sides = sides_of_contact(block[2], radius, gap, "sphere", ("symmetry_x", "symmetry_y"))
+    return two_bodies(comm, create, cell, "sphere", ("block", "ball"), sides)
 
 
 def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
@@ -233,17 +215,6 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
     arm = x * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * radius]
     x = (2.0 * radius) ** 2 * arm / (arm**2).sum(axis=1, keepdims=True) + [0, 0, 2.0 * radius + gap]
     return x, cells
-
-
-def _tetrahedra(draw: Callable[[Any], None], z: float, core: float, h: float, far: float) -> Arrays:
-    with gmsh_model({"Mesh.Algorithm3D": 10.0}) as gmsh:  # HXT
-        draw(gmsh.model.occ)
-        gmsh.model.occ.synchronize()
-        # the first contact point; other vertices are more than a core away
-        ((_, origin),) = gmsh.model.getEntitiesInBoundingBox(-h, -h, z - h, h, h, z + h, 0)
-        set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
-        gmsh.model.mesh.generate(3)
-        return read_cells(gmsh, "tetrahedron")
 
 
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
@@ -266,8 +237,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     >>> x.shape, cells.shape
     ((46, 3), (20, 8))
     """
-    lattice = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1)
-    lattice = lattice.reshape(-1, 3)
+    lattice = np.indices([n + 1] * 3).reshape(3, -1).T
     far = np.flatnonzero(lattice.max(axis=1) == n)
     shells = max(1, round(n * np.log(radius / edge)))
     radii = edge * (radius / edge) ** (np.arange(1, shells + 1) / shells)
@@ -288,8 +258,8 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
 
 
 @contextmanager
-def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
-    """Yield gmsh with an empty model and options; then restore its state."""
+def gmsh_model() -> Iterator[Any]:
+    """Yield gmsh with an empty model and our options; then restore its state."""
     try:
         import gmsh
     except ImportError as error:
@@ -300,53 +270,55 @@ def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[
         gmsh.initialize(readConfigFiles=False, interruptible=False)
     before = {name: gmsh.option.getNumber(name) for name in GMSH_OPTIONS}
     model = gmsh.model.getCurrent()
+    gmsh.model.add("dolfinx_mortar body")
     try:
-        for name, value in {**GMSH_OPTIONS, **options}.items():
+        for name, value in GMSH_OPTIONS.items():
             gmsh.option.setNumber(name, value)
-        gmsh.model.add("dolfinx_mortar body")
-        try:
-            yield gmsh
-        finally:
-            gmsh.model.remove()
+        yield gmsh
     finally:
+        gmsh.model.remove()
+        for name, value in before.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.model.setCurrent(model)
         if started:
             gmsh.finalize()
-        else:
-            for name, value in before.items():
-                gmsh.option.setNumber(name, value)
-            gmsh.model.setCurrent(model)
 
 
-def set_graded_size(
-    gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
-) -> None:
-    """Set the size to h within ``core`` of the point ``origin``, then linearly to limit h."""
-    field = gmsh.model.mesh.field
-    distance, size = field.add("Distance"), field.add("Threshold")
-    field.setNumbers(distance, "PointsList", [origin])
-    for name, value in (
-        ("InField", distance),
-        ("SizeMin", h),
-        ("SizeMax", limit * h),
-        ("DistMin", core),
-        ("DistMax", core + beyond),
-    ):
-        field.setNumber(size, name, value)
-    field.setAsBackgroundMesh(size)
+def mesh_by_gmsh(
+    draw: Callable[[Any], Any],
+    cell: str,
+    place: tuple[float, float, float],
+    sizes: tuple[float, float],
+    ends: tuple[float, float],
+) -> Arrays:
+    """Nodes (n, 3) and cells (m, k) of what ``draw(gmsh)`` draws.
 
-
-def read_cells(gmsh: Any, cell: str) -> Arrays:
-    """Nodes (n, 3) and cells (m, k) of the model, all of one kind."""
-    tags, x, _ = gmsh.model.mesh.getNodes()
-    _, (numbers,), (cells,) = gmsh.model.mesh.getElements(gmsh.model.getDimension())
-    position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
-    position[tags] = np.arange(len(tags))
-    # gmsh also lists unused points, such as a circle's centre
-    used, cells = np.unique(position[cells], return_inverse=True)
-    cells = cells.reshape(len(numbers), -1)
+    Sizes are the first one up to the first distance from a point of the drawing, the second one
+    from the second distance on, and linear between.
+    """
+    with gmsh_model() as gmsh:
+        mesh = gmsh.model.mesh
+        if cell == "quadrilateral":
+            gmsh.option.setNumber("Mesh.Algorithm", 8)  # frontal Delaunay for quads
+            gmsh.option.setNumber("Mesh.RecombineAll", 1)
+        draw(gmsh)
+        gmsh.model.geo.synchronize()
+        gmsh.model.occ.synchronize()
+        box = [x + side * 0.1 * sizes[0] for side in (-1.0, 1.0) for x in place]
+        ((_, origin),) = gmsh.model.getEntitiesInBoundingBox(*box, 0)
+        distance, size = mesh.field.add("Distance"), mesh.field.add("Threshold")
+        mesh.field.setNumbers(distance, "PointsList", [origin])
+        names = ("InField", "SizeMin", "SizeMax", "DistMin", "DistMax")
+        for name, value in zip(names, (distance, *sizes, *ends), strict=True):
+            mesh.field.setNumber(size, name, value)
+        mesh.field.setAsBackgroundMesh(size)
+        mesh.generate(gmsh.model.getDimension())
+        tags, x, _ = mesh.getNodes()  # numbered from 1 on, in another order
+        _, (numbers,), (nodes,) = mesh.getElements(gmsh.model.getDimension())
+    cells = nodes.reshape(len(numbers), -1).astype(np.int64) - 1
     if cell == "quadrilateral":
         cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers by tensor products
-    return x.reshape(-1, 3)[used], cells
+    return x.reshape(-1, 3)[np.argsort(tags)], cells
 
 
 def on_axis(x: Floats) -> Floats:
@@ -367,8 +339,7 @@ def mirrored(x: Floats, cells: Longs) -> Arrays:
     off = x[:, 0] != 0.0
     image = np.where(off, len(x) - 1 + np.cumsum(off), np.arange(len(x)))
     # reflection inverts cells; another order of nodes restores the orientation
-    turn = [4, 5, 6, 7, 0, 1, 2, 3] if k == 8 else [1, 0, 2, 3][:k]
-    turn = [1, 0, 3, 2] if (d, k) == (2, 4) else turn
+    turn = [1, 0, 2, 3][:k] if k <= d + 1 else np.arange(k) ^ 1
     nodes = np.concatenate([x, x[off] * [-1.0, 1.0, 1.0][:d]])
     return nodes, np.concatenate([cells, image[cells][:, turn]])
 
@@ -380,88 +351,89 @@ def distribute(
 
     Also the number of input cells of the first body, which come first. RuntimeError without gmsh.
     """
-    d = np.asarray(basix.geometry(basix.CellType[cell])).shape[1]
+    d = len(basix.topology(basix.CellType[cell])) - 1
     element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))
-    k = element.dim // d
-    x: Floats = np.empty((0, d))
-    cells: Longs = np.empty((0, k), dtype=np.int64)
-    first = 0
+    nothing = np.empty((0, d)), np.empty((0, element.dim // d), dtype=np.int64)
+    bodies: tuple[Arrays, Arrays] = nothing, nothing
     with raised_together(comm):
         if comm.rank == 0:
             try:
-                (x1, cells1), (x2, cells2) = create()
+                bodies = create()
             except Exception as error:  # gmsh raises bare Exception
                 raise RuntimeError(f"gmsh failed: {error}") from error
-            x, cells = np.concatenate([x1, x2]), np.concatenate([cells1, cells2 + len(x1)])
-            first = len(cells1)
-    cells, domain = np.ascontiguousarray(cells), ufl.Mesh(element)
-    return dmesh.create_mesh(comm, cells=cells, x=x, e=domain), comm.bcast(first)
+    (x, cells), (more, others) = bodies
+    every = np.ascontiguousarray(np.concatenate([cells, others + len(x)]))
+    nodes, domain = np.concatenate([x, more]), ufl.Mesh(element)
+    return dmesh.create_mesh(comm, cells=every, x=nodes, e=domain), comm.bcast(len(cells))
 
 
-def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
-    """Exterior facets (m,), whether of the first body, and nodes (m, k, 3)."""
-    d = mesh.topology.dim
+def two_bodies(
+    comm: MPI.Intracomm,
+    create: Callable[[], tuple[Arrays, Arrays]],
+    cell: str,
+    name: str,
+    bodies: tuple[str, str],
+    sides: Callable[[Bools, Floats], Mapping[str, Bools]],
+) -> TaggedMesh:
+    """Mesh of the two bodies that ``create`` returns on rank 0, with names; collective.
+
+    Tags are 1, 2, 3 .. in the order of the names. ``sides`` gets all exterior facets of a rank,
+    whether of the first body (m,) and nodes (m, k, 3), and returns masks (m,) of the sides; a facet
+    belongs to the last one that marks it.
+    """
+    mesh, first = distribute(comm, create, cell)
+    mesh.name, d = name, mesh.topology.dim
+    body = np.where(mesh.topology.original_cell_index < first, 1, 2).astype(np.int32)
     mesh.topology.create_connectivity(d - 1, d)
     facets = dmesh.exterior_facet_indices(mesh.topology)
     to_cell = mesh.topology.connectivity(d - 1, d)
-    first = np.asarray(in_first[to_cell.array[to_cell.offsets[facets]]])
-    x = np.asarray(mesh.geometry.x, dtype=np.float64)
-    if len(facets) == 0:  # dolfinx would divide by 0
-        return facets, first, np.empty((0, d, 3))
-    return facets, first, x[dmesh.entities_to_geometry(mesh, d - 1, facets)]
+    x: Any = np.empty((0, d, 3))
+    if len(facets):  # else dolfinx would divide by 0
+        x = mesh.geometry.x[dmesh.entities_to_geometry(mesh, d - 1, facets)]
+    marks = sides(body[to_cell.array[to_cell.offsets[facets]]] == 1, x)
+    side = np.zeros(len(facets), dtype=np.int32)
+    for tag, mark in enumerate(marks.values(), start=1):
+        side[mark] = tag
+    tags = [
+        dmesh.meshtags(mesh, d, np.arange(len(body), dtype=np.int32), body),
+        dmesh.meshtags(mesh, d - 1, facets[side > 0], side[side > 0]),
+    ]
+    tags[0].name, tags[1].name = "bodies", "boundary"
+    names = ({name: tag for tag, name in enumerate(n, start=1)} for n in (bodies, marks))
+    return TaggedMesh(mesh, *map(Tags, tags, names))
 
 
-def name_parts(
-    mesh: dmesh.Mesh,
-    in_first: Bools,
-    bodies: tuple[str, str],
-    facets: Ints,
-    sides: Mapping[str, Bools],
-) -> TaggedMesh:
-    """Tag two bodies and their sides with 1, 2, 3 .. in the order of their names.
+def all_at(values: Floats, position: float, tolerance: float | Floats) -> Bools:
+    """Mask (m,) of facets on which values (m, k) at all nodes are a number.
 
-    `in_first` (cells,) marks local cells; a facet (m,) belongs to the last side that marks it.
+    >>> all_at(np.array([[0.0, 1.0], [1.0, 1.0]]), 1.0, 1e-9).tolist()
+    [False, True]
     """
-    values = np.where(in_first, 1, 2).astype(np.int32)
-    every = np.arange(len(values), dtype=np.int32)
-    cell_tags = dmesh.meshtags(mesh, mesh.topology.dim, every, values)
-    of_facets = np.zeros(len(facets), dtype=np.int32)
-    for tag, belongs in enumerate(sides.values(), start=1):
-        of_facets[belongs] = tag
-    chosen = of_facets > 0
-    facet_tags = dmesh.meshtags(mesh, mesh.topology.dim - 1, facets[chosen], of_facets[chosen])
-    cell_tags.name, facet_tags.name = "bodies", "boundary"
-    names = ({name: tag for tag, name in enumerate(n, start=1)} for n in (bodies, sides))
-    return TaggedMesh(mesh, *map(Tags, (cell_tags, facet_tags), names))
+    return np.asarray((np.abs(values - position) < tolerance).all(axis=1))
 
 
-def name_sides(
-    mesh: dmesh.Mesh,
-    first: int,
-    *,
-    thickness: float,
-    radius: float,
-    gap: float,
-    names: tuple[str, str],
-    planes: tuple[str, ...],
-) -> TaggedMesh:
-    """Name the first cells a block with its top at height 0, the others a round body above it.
+def sides_of_contact(
+    thickness: float, radius: float, gap: float, arc: str, planes: tuple[str, ...]
+) -> Callable[[Bools, Floats], dict[str, Bools]]:
+    """Sides of a block with its top at height 0 and of a round body above it, for `two_bodies`.
 
-    `names`: round body and its side; `planes`: sides x = 0, y = 0 ..
+    `arc`: the side of the round body; `planes`: sides x = 0, y = 0 ..
     """
-    in_block = mesh.topology.original_cell_index < first
-    facets, of_block, x = exterior_facets(mesh, in_block)
-    # on the scale of each body
-    tolerance = HALF_OF_DIGITS * np.where(of_block, thickness, radius)
-    up = mesh.geometry.dim - 1
 
-    def at(axis: int, position: float) -> Bools:
-        return np.abs(x[:, :, axis] - position).max(axis=1, initial=0.0) < tolerance
+    def sides(of_block: Bools, x: Floats) -> dict[str, Bools]:
+        # on the scale of each body
+        tolerance = HALF_OF_DIGITS * np.where(of_block, thickness, radius)[:, None]
+        height = x[:, :, len(planes)]
+        flat = ~of_block & all_at(height, radius + gap, tolerance)
+        return {
+            "bottom": of_block & all_at(height, -thickness, tolerance),
+            "flat": flat,
+            "top": of_block & all_at(height, 0.0, tolerance),
+            arc: ~of_block & ~flat,
+            **{name: all_at(x[:, :, k], 0.0, tolerance) for k, name in enumerate(planes)},
+        }
 
-    flat = ~of_block & at(up, radius + gap)
-    sides = {"bottom": of_block & at(up, -thickness), "flat": flat, "top": of_block & at(up, 0.0)}
-    sides |= {names[1]: ~of_block & ~flat} | {n: at(axis, 0.0) for axis, n in enumerate(planes)}
-    return name_parts(mesh, in_block, ("block", names[0]), facets, sides)
+    return sides
 
 
 def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ D, M and N (eqs. 16 to 20) have the entries of the solver's `operators`, times t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,7 +19,7 @@ import dolfinx
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
 from dolfinx_mortar.mortar.facing_bodies import check_angle
@@ -33,6 +33,7 @@ from dolfinx_mortar.mortar.surface import (
     create_surface,
     facets_at,
     find_boundary,
+    send,
 )
 from dolfinx_mortar.spaces import check_space, find_positions
 
@@ -61,18 +62,11 @@ class Segments:
     master_gradients: Floats  # (n, k, d)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
+class _Cells(NamedTuple):
     number: Longs
     places: Ints  # (m, k) of the facet's nodes
     x: Floats  # (m, c, d) its nodes
     dofs: Longs
-
-    def sent(self, comm: MPI.Comm, receivers: Bools) -> _Cells:
-        """Cells sent to this rank, by receivers (m, ranks); collective."""
-        own = self.number, self.places, self.x, self.dofs
-        parts = comm.alltoall([tuple(v[to] for v in own) for to in receivers.T])
-        return _Cells(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
 
 def _find_cells(
@@ -159,11 +153,11 @@ def segments(
     W, u = find_positions(V, u, same_nodes=False)
     names = {"slave": slave, "master": master}
     sides = [create_surface(W, facet_tags, tag, name) for name, tag in names.items()]
-    pairing = create_pairing(W, *sides, u, moving=False)
+    pairing = create_pairing(*sides, u, moving=False)
     cells_s, cells_m = (
         _find_cells(V, side, u, name) for side, name in zip(sides, names, strict=True)
     )
-    cells_m = cells_m.sent(comm, pairing.sent)
+    cells_m = _Cells(*send(comm, pairing.sent, *cells_m))
     points, _ = find_segments(pairing, u)
     s, m = points.slave, points.master
     with raised_together(comm):
@@ -274,7 +268,7 @@ def assemble_mortar(
     W, u = find_positions(V, u, same_nodes=True)
     surfaces = [create_surface(W, facet_tags, slave, "slave")]
     surfaces.append(create_surface(W, facet_tags, master, "master"))
-    pairing = create_pairing(W, *surfaces, u, moving=False, weight=weight)
+    pairing = create_pairing(*surfaces, u, moving=False, weight=weight)
     segments, averaged = find_segments(pairing, u)
     everything = np.ones((len(averaged), 1), dtype=bool)
     operators = create_operators(pairing, u, segments, averaged, everything)

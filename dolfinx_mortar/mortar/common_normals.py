@@ -9,18 +9,20 @@ facets in the plane.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.curvature import STEP
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.integrals import sums_of_values
-from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Boundary,
     Surface,
@@ -29,6 +31,7 @@ from dolfinx_mortar.mortar.surface import (
     coordinates,
     create_sums,
     facets_at,
+    marks,
     means_at_nodes,
     nodal_normals,
 )
@@ -79,19 +82,15 @@ def find_spreads(
     """Spreads of normals at X; collective.
 
     `contacts` are sides of contacts, `ties` tied sides, which do not count, `mirrors` (local nodes,
-    d) those of `find_mirrors`.
+    d) those of `judge_supports`.
     """
     V, nodes = contacts[0].V, boundary.nodes
-    marks = la.vector(V.dofmap.index_map)
-    marks.array[:] = 0.0
-    for side in contacts:
-        marks.array[side.nodes[: side.owned]] = 1.0
-    marks.scatter_forward()
-    free = marks.array[nodes].any(axis=1)
+    of_contacts = marks(V.dofmap.index_map, np.concatenate([side.nodes for side in contacts]))
+    free = of_contacts[nodes].any(axis=1)
     for side in ties:
         free &= ~np.isin(boundary.entities, side.entities)
     if mirrors is None:
-        mirrors = np.zeros((len(marks.array), V.dofmap.index_map_bs), dtype=bool)
+        mirrors = np.zeros((len(of_contacts), V.dofmap.index_map_bs), dtype=bool)
     along = facet_normals(boundary.facets)[:, None] ** 2 > 0.5  # in the plane
     free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
     boundary = boundary[np.flatnonzero(free)]
@@ -106,10 +105,10 @@ def find_spreads(
     if V.element.basix_element.degree > 1:
         of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
         S += means_at_nodes(V, between, of_facets).reshape(S.shape)
-    nodes, _, sums = create_sums(V, np.flatnonzero(marks.array > 0.0).astype(np.int32))
+    nodes, _, sums = create_sums(V, np.flatnonzero(of_contacts).astype(np.int32))
     S = _with_images(S, mirrors)[nodes]
     turned = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > HALF_OF_DIGITS)
-    position: Ints = np.full(len(marks.array), len(nodes), dtype=np.int32)
+    position: Ints = np.full(len(of_contacts), len(nodes), dtype=np.int32)
     position[nodes] = np.arange(len(nodes))
     near = np.isin(position[boundary.nodes], turned).any(axis=1)
     around = boundary[np.flatnonzero(near)]
@@ -197,7 +196,7 @@ def common_normals(
     across, across_m = (spreads.mirrors[of] for of in (own, nodes))
     n_m = nodal_normals(master, coordinates(master, u))[: len(nodes)]
     (n, by_averaged), (n_m, _) = in_planes(averaged[: len(own)], across), in_planes(n_m, across_m)
-    of_slave, of_master = _facing(pairing, segments, u, *(_edged(S, limit) for S in (S_s, S_m)))
+    of_slave, of_master = _facing(pairing, segments, u, _edged(S, limit).any())
     S_s, S_m, n_s = S_s[: len(own)], S_m[: len(nodes)], n.copy()
     a = _of_side(n, np.where(across, 0.0, of_slave), S_s, limit)
     values = np.zeros((V.dofmap.index_map.size_local, d + d * d))
@@ -256,27 +255,23 @@ def _across(n: Floats) -> Floats:
 
 
 def _facing(
-    pairing: Pairing, segments: Segments, u: fem.Function | None, edged: Bools, edged_m: Bools
+    pairing: Pairing, segments: Segments, u: fem.Function | None, edged: np.bool_
 ) -> tuple[Floats, Floats]:
-    """Sums (owned nodes, d) of w N_j n_s and w N_l n_m at nodes on edges; collective."""
+    """Sums (owned nodes, d) of w N_j n_s and w N_l n_m if there are edges; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
-    flags = np.zeros_like(master.X)
-    flags[:, 0] = edged_m
-    asked = edged[slave.facets], receive(pairing, flags)[pairing.master_facets, 0]
-    points = segments.slave, segments.master
-    some = [np.flatnonzero(v.any(axis=1)[on]) for v, on in zip(asked, points, strict=True)]
     own = slave.nodes[: slave.owned], master.nodes[: master.owned]
-    if not any_rank(V.mesh.comm, *(len(which) > 0 for which in some)).any():
-        return np.zeros((len(own[0]), flags.shape[1])), np.zeros((len(own[1]), flags.shape[1]))
+    if not any_rank(V.mesh.comm, edged)[0]:
+        return np.zeros_like(slave.X[: len(own[0])]), np.zeros_like(master.X[: len(own[1])])
     numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
-    sides = (
-        (facets_at(slave, coordinates(slave, u)), segments.xi_s, numbers[slave.facets]),
-        (received_facets(pairing, u), segments.xi_m, pairing.master_nodes[pairing.master_facets]),
-    )
+    facets, others = facets_at(slave, coordinates(slave, u)), received_facets(pairing, u)
+    of_others = pairing.master_nodes[pairing.master_facets]
     found = []
-    for (side, xi, nodes), on, which in zip(sides, points, some, strict=True):
-        N = np.clip(side.element.shape_functions(xi[which]), 0.0, None)
-        weights = sums_of_values(N, segments.weight[which], on[which], len(nodes))
+    for side, xi, on, nodes in (
+        (facets, segments.xi_s, segments.slave, numbers[slave.facets]),
+        (others, segments.xi_m, segments.master, of_others),
+    ):
+        N = np.clip(side.element.shape_functions(xi), 0.0, None)
+        weights = sums_of_values(N, segments.weight, on, len(nodes))
         sums = weights[:, :, None] * facet_normals(side)[:, None]
         at = nodes.ravel(), sums.reshape(-1, sums.shape[2])
         found.append(sums_at_nodes(V.mesh.comm, V.dofmap.index_map, *at))
@@ -312,18 +307,15 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
 
 
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of `_mean` by a and b, with which the spreads turn.
+    """Derivatives of `_mean` by a and b, with which the spreads turn, by complex steps.
 
-    dy = B K (da + dA z) + A K (db - dB z), dA = da a^T + a da^T + W S_a - S_a W, W = da a^T - a
-    da^T.
+    dS = W S - S W, W = da a^T - a da^T.
     """
-    one = np.eye(a.shape[1])
-    A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
-    K = np.linalg.inv(A + B)
-    z = (K @ (b - a)[:, :, None])[:, :, 0]
-    turned = []
-    for v, S in ((a, S_a), (b, S_b)):
-        vz, Sz = v[:, :, None] * z[:, None], (S @ z[:, :, None])[:, :, 0]
-        along, across = ((v * w).sum(axis=1)[:, None, None] for w in (z, Sz))
-        turned.append(along * (one - S) + across * one + vz + S @ vz - v[:, :, None] * Sz[:, None])
-    return B @ K @ (one + turned[0]), A @ K @ (one - turned[1])
+    found = np.zeros((2, *S_a.shape))
+    for k, i in np.ndindex(2, a.shape[1]):
+        moved: list[Any] = [v + 0j for v in (a, b, S_a, S_b)]
+        v, S, dv = moved[k], moved[2 + k], np.eye(a.shape[1])[i]
+        W = dv[:, None] * v[:, None] - v[:, :, None] * dv
+        moved[k], moved[2 + k] = v + 1j * STEP * dv, S + 1j * STEP * (W @ S - S @ W)
+        found[k, :, :, i] = _mean(*moved).imag / STEP
+    return found[0], found[1]

@@ -6,6 +6,8 @@
 angles are in degrees.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,12 +38,13 @@ from dolfinx_mortar.geometry.curvature import (
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients, unit
 from dolfinx_mortar.geometry.moments import height
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.mirrors import find_mirrors, ring_sums
+from dolfinx_mortar.mortar.mirrors import judge_supports, ring_sums
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
     coordinates,
     facets_at,
+    nodal_means,
     sum_at_nodes,
     thickness_stretches,
 )
@@ -71,7 +74,7 @@ def smooth_normals(
     """
     facets = facets_at(surface, x)
     if mirrors is None:
-        mirrors = find_mirrors(surface, fixed, feature_angle)
+        mirrors, _ = judge_supports(surface, fixed, feature_angle)
     normals = _classify(surface, facets, one_ring_sums(facets), mirrors, feature_angle)
     for _ in range(PROJECTIONS if x.shape[1] > 2 else 0):
         K = _deviators(surface, facets, normals)[surface.facets]
@@ -114,9 +117,8 @@ def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats
     tangential = np.eye(3) - n[:, :, None] * n[:, None, :]
     K -= 0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * tangential
     K *= known[:, None, None]
-    columns = np.column_stack([K.reshape(-1, 9), known])[:, None]
-    total = sum_at_nodes(surface, np.repeat(columns, surface.facets.shape[1], axis=1))
-    return np.asarray((total[:, :-1] / np.maximum(total[:, -1:], 1.0)).reshape(-1, 3, 3))
+    mean = nodal_means(surface, np.column_stack([K.reshape(-1, 9), known]))
+    return np.asarray((mean[:, :-1] / np.maximum(mean[:, -1:], TINY)).reshape(-1, 3, 3))
 
 
 def _classify(
@@ -161,7 +163,8 @@ def find_shape(
 ) -> NodeShape:
     """Normals of a side at its nodes at X, or curvatures of curved facets; collective."""
     if surface.curved:
-        return _nodal_curvatures(surface)
+        K = own_curvatures(facets_at(surface, surface.X))
+        return nodal_means(surface, K.reshape(len(K), -1)).reshape(-1, *K.shape[1:])
     return smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle, mirrors)
 
 
@@ -176,9 +179,12 @@ def find_smooth_sides(
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
     facets, count = received_facets(pairing, None), _count_edges(other, master.owned)
     if isinstance(other, NodeNormals):
-        other = _received(pairing, other)
+        jumps = np.zeros_like(other.open) if other.jumps is None else other.jumps
+        columns = [other.n, other.open, other.sharp, jumps]
+        *n, is_open, sharp, jumps = receive(pairing, np.column_stack(columns)).T
+        other = NodeNormals(np.stack(n, axis=1), is_open > 0.0, sharp > 0.0, jumps > 0.0)
     else:
-        other = np.stack([receive(pairing, row) for row in np.moveaxis(other, 1, 0)], axis=1)
+        other = receive(pairing, other.reshape(len(other), -1)).reshape(-1, *other.shape[1:])
     return (
         _over(facets_at(slave, slave.X), own, slave.facets, _count_edges(own, slave.owned)),
         _over(facets, other, pairing.master_facets, count),
@@ -200,50 +206,6 @@ def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothS
     return SmoothSide(facets, None, nodes, sagitta, count)
 
 
-def _nodal_curvatures(surface: Surface) -> Floats:
-    facets, d = facets_at(surface, surface.X), surface.X.shape[1]
-    K = own_curvatures(facets).reshape(-1, d * d)
-    columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]
-    total = sum_at_nodes(surface, np.repeat(columns, surface.element.nodes, axis=1))
-    return np.asarray(total[:, :-1] / np.maximum(total[:, -1:], TINY)).reshape(-1, d, d)
-
-
-def side_heights(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
-) -> Floats:
-    """Heights (q,) of a second-order side at X + u; collective."""
-    facets, c, arcs = _at(surface, side, u)
-    h = heights(facets, c, which, xi)
-    return h if arcs is None else heights_of_arcs(arcs[which], h)
-
-
-def _at(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
-) -> tuple[Facets, Floats, Floats | None]:
-    facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
-    if u is None:
-        return facets, c, None
-    c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
-    round_ = facets.x.shape[2] == 2 and not surface.curved
-    return facets, c, arcs_of_chords(facets, c) if round_ else None
-
-
-def side_slopes(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
-) -> Floats:
-    """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
-    facets, c, arcs = _at(surface, side, u)
-    slopes = np.zeros((len(which), *facets.x.shape[1:]))
-    if arcs is not None:
-        table = height_table(surface.element, c.shape[1])
-        Q = np.asarray(np.tensordot(c, table, 1), dtype=np.float64)
-        N = surface.element.shape_functions(xi)[:, None]
-        e = edges(facets)[which, 0]
-        by_length = height(N, Q[which], arcs[which])[2] / (e**2).sum(axis=1, keepdims=True)
-        slopes[:, 1], slopes[:, 0] = by_length * e, -by_length * e
-    return slopes
-
-
 def _count_edges(normals: NodeShape, owned: int) -> Ints:
     if not isinstance(normals, NodeNormals):
         return np.zeros(2, dtype=np.int32)
@@ -257,28 +219,42 @@ class Curved:
 
     facets: Facets  # (m,)
     sagitta: Floats  # (m, e) c_ab of the smooth surface
+    arcs: Floats  # (m, 2) see `arcs_of_chords`
     which: Ints  # (m,) their numbers; one may occur in several pairs
 
     @cached_property
     def K(self) -> Floats:
         """Curvatures (m, d, d)."""
-        if self.facets.x.shape[2] == 2:  # cheaper than a search for equal ones
-            return curvatures(self.facets, self.sagitta)
-        first, again = self._first
-        return curvatures(self.facets[first], self.sagitta[first])[again]
+        return self._of_distinct(curvatures)
 
     @property
     def slopes(self) -> Floats:
         """Derivatives (m, k, d, d, d) of K by the nodes."""
-        first, again = self._first
-        return curvature_slopes(self.facets[first], self.sagitta[first])[again]
+        return self._of_distinct(curvature_slopes)
 
-    @cached_property
-    def _first(self) -> tuple[Ints, Ints]:
-        _, again = distinct(self.which)
-        first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
-        first[again] = np.arange(len(again))
-        return first, again
+    def _of_distinct(self, find: Callable[[Facets, Floats], Floats]) -> Floats:
+        _, first, again = np.unique(self.which, return_index=True, return_inverse=True)
+        return find(self.facets[first], self.sagitta[first])[again]
+
+    def shared(self, other: Curved) -> Floats:
+        """Products c_ab (m, e) of the surface that both sides share if they are of first order."""
+        if self.facets.element.degree > 1:
+            return self.sagitta
+        return common_sagittas(self.facets, self.sagitta, other.K)
+
+    def heights(self, c: Floats, which: Ints, xi: Floats) -> Floats:
+        """Heights (q,) of surfaces with c_ab (m, e) over points."""
+        return heights_of_arcs(self.arcs[which], heights(self.facets, c, which, xi))
+
+
+def _at(surface: Surface, facets: Facets, c: Floats, stretch: Floats | None, which: Ints) -> Curved:
+    """Some facets of a side; of second order with the stretch (m, 1) of heights."""
+    arcs, c, facets = np.tile([0.0, 1.0], (len(which), 1)), c[which], facets[which]
+    if stretch is not None:
+        c = c * stretch[which]
+        if facets.x.shape[2] == 2 and not surface.curved:
+            arcs = arcs_of_chords(facets, c)
+    return Curved(facets, c, arcs, which)
 
 
 def find_curved(
@@ -287,29 +263,33 @@ def find_curved(
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
-    """Facets of both sides of pairs (p,), at X + u, with curvatures; c_ab at X; collective."""
-    s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
-    slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
-    moved = slave[s], received_facets(pairing, u)[m]
-    a, b = (
-        Curved(x, side.sagitta[which], which)
-        for x, side, which in zip(moved, sides, (s, m), strict=True)
-    )
-    return a, b
+    """Facets of both sides of pairs (p,), at X + u; collective.
 
-
-def distinct(numbers: Ints) -> tuple[Ints, Ints]:
-    """Distinct numbers (q,), small and nonnegative, ascending, and the index of each (q,).
-
-    Faster than `np.unique`.
-
-    >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
-    [[1, 3, 5], [1, 0, 1, 2]]
+    c_ab are those at X, of second order with the strain.
     """
-    there = np.zeros(numbers.max(initial=-1) + 1, dtype=bool)
-    there[numbers] = True
-    place = np.cumsum(there, dtype=np.int32) - np.int32(1)
-    return np.flatnonzero(there).astype(np.int32), place[numbers]
+    slave, (s, m) = pairing.slave, pairing.pairs[pairs].T
+    own, other = _stretch(slave, u), None
+    if u is not None and slave.element.degree > 1:
+        of_nodes = thickness_stretches(pairing.master, u)[:, None]
+        other = receive(pairing, of_nodes)[pairing.master_facets].mean(axis=1)
+    facets = facets_at(slave, coordinates(slave, u))
+    return (
+        _at(slave, facets, sides[0].sagitta, own, s),
+        _at(slave, received_facets(pairing, u), sides[1].sagitta, other, m),
+    )
+
+
+def _stretch(surface: Surface, u: dolfinx.fem.Function | None) -> Floats | None:
+    """Factors (m, 1) of heights of second order; collective."""
+    if u is None or surface.element.degree == 1:
+        return None
+    return thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
+
+
+def _pairs_of(segments: Segments) -> tuple[Ints, Ints]:
+    """Pairs (p,) with points, and the index (q,) of each point's pair."""
+    pairs, of = np.unique(segments.pair, return_inverse=True)
+    return pairs, of.astype(np.int32)
 
 
 @timed("~Mortar: heights")
@@ -324,33 +304,40 @@ def point_heights(
     First-order sides share one surface, see `common_sagittas`. Second-order heights are h (1 + e_n)
     with the strain e_n along the normal, as mid-side nodes move with the bodies.
     """
-    pairs, of = distinct(segments.pair)
-    c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
+    pairs, of = _pairs_of(segments)
     a, b = find_curved(pairing, u, sides, pairs)
-    if pairing.slave.element.degree == 1:
-        c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
-    h_s = heights_of_arcs(arcs[of, 0], heights(a.facets, c_s, of, segments.xi_s))
-    return h_s + heights_of_arcs(arcs[of, 1], heights(b.facets, c_m, of, segments.xi_m))
+    h = a.heights(a.shared(b), of, segments.xi_s)
+    return h + b.heights(b.shared(a), of, segments.xi_m)
 
 
-def pair_sagittas(
-    pairing: Pairing,
-    u: dolfinx.fem.Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
-    pairs: Ints,
-) -> tuple[Floats, Floats, Floats]:
-    """Each facet's c_ab (p, e) of pairs (p,), and arcs (p, 2, 2); collective.
+def _side_at(surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None) -> Curved:
+    facets = facets_at(surface, coordinates(surface, u))
+    every = np.arange(len(facets.x), dtype=np.int32)
+    return _at(surface, facets, side.sagitta, _stretch(surface, u), every)
 
-    For second order with the strain.
-    """
-    a, b = find_curved(pairing, u, sides, pairs)
-    c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
-    if pairing.slave.element.degree > 1 and u is not None:
-        both = zip(c, facet_stretches(pairing, u), pairing.pairs[pairs].T, strict=True)
-        c = [own * stretch[which] for own, stretch, which in both]
-        if pairing.slave.X.shape[1] == 2 and not pairing.slave.curved:
-            arcs[:, 0], arcs[:, 1] = arcs_of_chords(a.facets, c[0]), arcs_of_chords(b.facets, c[1])
-    return c[0], c[1], arcs
+
+def side_heights(
+    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
+) -> Floats:
+    """Heights (q,) of a second-order side at X + u; collective."""
+    at = _side_at(surface, side, u)
+    return at.heights(at.sagitta, which, xi)
+
+
+def side_slopes(
+    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
+) -> Floats:
+    """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
+    at = _side_at(surface, side, u)
+    slopes = np.zeros((len(which), *at.facets.x.shape[1:]))
+    if at.arcs[:, 0].any():
+        table = height_table(surface.element, at.sagitta.shape[1])
+        Q = np.asarray(np.tensordot(at.sagitta, table, 1), dtype=np.float64)
+        N = surface.element.shape_functions(xi)[:, None]
+        e = edges(at.facets)[which, 0]
+        by_length = height(N, Q[which], at.arcs[which])[2] / (e**2).sum(axis=1, keepdims=True)
+        slopes[:, 1], slopes[:, 0] = by_length * e, -by_length * e
+    return slopes
 
 
 def missed_heights(
@@ -363,7 +350,7 @@ def missed_heights(
 
     Over facets of a sphere |x|^2 = R^2 - 2 R h, R - |x| = h + h^2 / (2 R).
     """
-    pairs, of = distinct(segments.pair)
+    pairs, of = _pairs_of(segments)
     a, b = find_curved(pairing, u, sides, pairs)
     return _missed(a, b, of, segments.xi_s) + _missed(b, a, of, segments.xi_m)
 
@@ -372,7 +359,7 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     e, n = edges(side.facets), facet_normals(other.facets)[:, None]
     seen = e - (e * n).sum(axis=2, keepdims=True) * n
     square = (e**2).sum(axis=2)
-    common = common_sagittas(side.facets, side.sagitta, other.K)
+    common = side.shared(other)
     longer = square / np.maximum((seen**2).sum(axis=2), TINY)
     right = side.sagitta / 2 + (common - side.sagitta / 2) * longer
     h, found = (heights(side.facets, c, of, xi) for c in (right, common))
@@ -380,16 +367,6 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     least, k = along.min(axis=1), along.max(axis=1)
     k = np.where(-least > k, least, k)
     return np.asarray(h + k[of] * h**2 / 2 - found)
-
-
-def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
-    """Factors of heights on slave (m, 1) and master facets (m', 1); collective."""
-    slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
-    columns = np.zeros((len(own), pairing.slave.X.shape[1]))
-    columns[:, 0] = own
-    master = receive(pairing, columns)[:, 0]
-    of_slave = slave[pairing.slave.facets].mean(axis=1, keepdims=True)
-    return of_slave, master[pairing.master_facets].mean(axis=1, keepdims=True)
 
 
 def point_motions(
@@ -407,7 +384,9 @@ def point_motions(
     C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r. All at X.
     """
     slave, master = sides
-    C_s, C_m = (_tensors(side) for side in sides)
+    assert slave.normals is not None and master.normals is not None, "of straight facets"
+    C_s = sagitta_tensors(slave.facets, slave.normals, slave.nodes)
+    C_m = sagitta_tensors(master.facets, master.normals, master.nodes)
 
     def at(part: slice) -> Floats:
         s, m = segments.slave[part], segments.master[part]
@@ -424,11 +403,6 @@ def point_motions(
     return at
 
 
-def _tensors(side: SmoothSide) -> Floats:
-    assert side.normals is not None, "offset vectors of curved facets are not corrected"
-    return sagitta_tensors(side.facets, side.normals, side.nodes)
-
-
 def find_parting(
     pairing: Pairing,
     segments: Segments,
@@ -439,7 +413,7 @@ def find_parting(
 
     1 for a ball on a plane, c / R for a pin with clearance c, infinite for planes.
     """
-    pairs, of = distinct(segments.pair)
+    pairs, of = _pairs_of(segments)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
     k_s, k_m = (
         np.trace(side.K, axis1=1, axis2=2) for side in find_curved(pairing, u, sides, pairs)
@@ -447,11 +421,3 @@ def find_parting(
     local = np.array([size @ np.abs(k_s + k_m), size @ np.maximum(np.abs(k_s), np.abs(k_m))])
     apart, curved = pairing.slave.V.mesh.comm.allreduce(local)
     return float(apart / curved) if curved > 0.0 else np.inf
-
-
-def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
-    flags = np.zeros_like(own.n)
-    flags[:, 0] = own.open + 2 * own.sharp + (0 if own.jumps is None else 4 * own.jumps)
-    n, flags = receive(pairing, own.n), receive(pairing, flags)
-    found = np.rint(flags[:, 0]).astype(np.int32)
-    return NodeNormals(n, *((found & flag) > 0 for flag in (1, 2, 4)))

@@ -79,13 +79,8 @@ def absorbed(
     """
     if not shares:
         return values
-    result = np.copy(values)  # keeps the memory layout
-    for middle, *ends in shares:
-        part = ALPHA * values[:, middle] * (1.0 if kept is None else kept[:, middle])
-        for end in ends:
-            result[:, end] += part
-        result[:, middle] -= 2 * part
-    return result
+    kept = np.ones(values.shape, dtype=bool) if kept is None else kept
+    return np.asarray((absorbing(shares, kept) @ values[:, :, None])[:, :, 0])
 
 
 def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import check, number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -28,12 +28,7 @@ from dolfinx_mortar.geometry.flat import bounds, facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import THROUGH
-from dolfinx_mortar.mortar.surface import (
-    create_groups,
-    find_receivers,
-    group_cones,
-    thickness_of_bodies,
-)
+from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +68,8 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     depth = THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
-    others, part, label, behind = _receive(comm, facets, skin, depth)
+    sent = skin.facets, skin.part, skin.label, depth
+    others, part, label, behind = seen_facets(comm, facets, *sent)
     n = np.repeat(facet_normals(facets)[:, None], facets.element.nodes, axis=1)
     pairs = find_candidates(facets, n, others, np.zeros(len(own)))
     deepest = np.minimum(depth[own][pairs[:, 0]], behind[pairs[:, 1]])
@@ -130,21 +126,6 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     )
 
 
-def _receive(
-    comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
-) -> tuple[Facets, Longs, Longs, Floats]:
-    """Facets of all ranks that this rank's can face; collective."""
-    if comm.size == 1:
-        return skin.facets, skin.part, skin.label, depth
-    n = facet_normals(asking)[:, None]
-    cones = group_cones(asking.x, n, create_groups(asking.x), np.zeros(len(n)))
-    receivers = find_receivers(comm, cones, skin.facets)
-    sent = skin.facets.x, skin.part, skin.label, depth
-    parts = comm.alltoall([tuple(values[to] for values in sent) for to in receivers.T])
-    x, part, label, depth = (np.concatenate([one[k] for one in parts]) for k in range(4))
-    return Facets(asking.element, x), part, label, depth
-
-
 def are_near(facing: Facing, within: float | None) -> Bools:
     """Pairs `within` a distance, default the larger diameter."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
@@ -164,11 +145,7 @@ def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
 
 def check_angle(feature_angle: Any) -> float:
     """Return the least angle of an edge, in degrees; ValueError unless in (0, 180]."""
-    if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
-        raise ValueError(
-            f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
-        )
-    return float(feature_angle)
+    return check("feature_angle", feature_angle, number("degrees", above=0.0, most=180.0))
 
 
 def find_faces(
@@ -180,38 +157,27 @@ def find_faces(
     degrees.
     """
     comm = V.mesh.comm
-    edges = _edges(V, facets, nodes)
+    ends = nodes[:, np.array(facets.element.vertices)]
+    numbers = V.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
+    edges: Longs = np.asarray(numbers, dtype=np.int64).reshape(*ends.shape, 1)
+    if facets.x.shape[2] > 2:
+        edges = np.sort(np.concatenate([edges, np.roll(edges, -1, axis=1)], axis=2), axis=2)
+    sent = comm.allgather((edges, body, facet_normals(facets)))
+    edges, body, normals = (np.concatenate(each) for each in zip(*sent, strict=True))
     m, per_facet = edges.shape[:2]
-    keys, owner = edges.reshape(-1, edges.shape[2]), np.repeat(np.arange(m), per_facet)
-    columns = np.column_stack([keys, body[owner]]), facet_normals(facets)[owner]
-    limit = np.cos(np.radians(feature_angle))
-    first, second, smooth = _meeting(columns[0], columns[1], limit)
-    parts, local = _components(m, owner[first[smooth]], owner[second[smooth]])
-    own: Longs = local + (comm.exscan(parts) or 0)
-
-    # facets at edges between ranks are joined on all ranks
-    single = np.ones(len(keys), dtype=bool)
-    single[first], single[second] = False, False
-    sent = *(column[single] for column in columns), own[owner[single]]
-    everywhere = [np.concatenate(each) for each in zip(*comm.allgather(sent), strict=True)]
-    a, b, joined = _meeting(everywhere[0], everywhere[1], limit)
-    ends = everywhere[2]
-    _, face = _components(comm.allreduce(parts, op=MPI.SUM), ends[a[joined]], ends[b[joined]])
-    return face[own]
+    owner = np.repeat(np.arange(m), per_facet)
+    keys = np.column_stack([edges.reshape(len(owner), -1), body[owner]])
+    first, second = owner[_meeting(keys)]
+    smooth = (normals[first] * normals[second]).sum(axis=1) > np.cos(np.radians(feature_angle))
+    first, second = first[smooth], second[smooth]
+    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(m, m))
+    _, face = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    before = comm.exscan(len(nodes)) or 0
+    return np.asarray(face[before : before + len(nodes)], dtype=np.int64)
 
 
-def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
-    """Global ends (m, e, 2 or 1) of facets' edges, ascending."""
-    local = nodes[:, np.array(facets.element.vertices)]
-    numbers = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
-    corners: Longs = np.asarray(numbers, dtype=np.int64).reshape(local.shape)
-    if facets.x.shape[2] == 2:
-        return corners[:, :, None]
-    return np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2)
-
-
-def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, Bools]:
-    """Pairs of rows with equal keys, and where normals are close."""
+def _meeting(keys: Longs) -> Longs:
+    """Pairs (2, p) of rows with equal keys."""
     order = np.lexsort(keys.T)
     sorted_keys = keys[order]
     found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]
@@ -221,13 +187,4 @@ def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, 
             break
         where = np.flatnonzero(same)
         found.append(np.stack([order[where], order[where + step]], axis=1))
-    first, second = np.concatenate(found).T
-    cosine = np.einsum("qi,qi->q", normals[first], normals[second])
-    return first, second, cosine > limit
-
-
-def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
-    parts, found = scipy.sparse.csgraph.connected_components(
-        scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False
-    )
-    return int(parts), np.asarray(found, dtype=np.int64)
+    return np.concatenate(found).T

@@ -26,7 +26,7 @@ from dolfinx_mortar.geometry.facets import (
 )
 from dolfinx_mortar.geometry.segments import Segments, create_segments
 from dolfinx_mortar.geometry.tolerances import KERNEL
-from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
     accumulate,
@@ -126,7 +126,7 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
     n_s = normals[slave.facets]
     segments = create_segments(facets, n_s, master, pairing.pairs, pairing.deepest)
     segments = _near_parts(pairing, segments, facets, master)
-    return _weigh(pairing, segments, facets), normals
+    return weigh(slave, pairing.weight, segments, facets), normals
 
 
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
@@ -218,17 +218,17 @@ def some_points(segments: Segments, which: Bools) -> Segments:
     return replace(segments, **points)
 
 
-def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
-    if pairing.weight is None:
+def weigh(slave: Surface, weight: Weight | None, segments: Segments, facets: Facets) -> Segments:
+    """The segments with a weight, taken at X, where it is positive."""
+    if weight is None:
         return segments
-    at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]
+    at_X, xi = facets_at(slave, slave.X), facets.element.rule[0]
     which = np.repeat(np.arange(len(facets.x), dtype=np.int32), len(xi))
     points = points_of(at_X, which, np.tile(xi, (len(facets.x), 1)))
-    whole = pairing.weight(points).reshape(len(facets.x), len(xi))
-    at_points = pairing.weight(points_of(at_X, segments.slave, segments.xi_s))
+    whole = weight(points).reshape(len(facets.x), len(xi))
     return replace(
         segments,
-        weight=segments.weight * at_points,
+        weight=segments.weight * weight(points_of(at_X, segments.slave, segments.xi_s)),
         facet_weights=tributary_weights(facets, whole),
     )
 

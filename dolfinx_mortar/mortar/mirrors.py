@@ -19,11 +19,6 @@ from dolfinx_mortar.geometry.facets import facet_normals, unit
 from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
-def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Components (n, d) across planes of symmetry; collective."""
-    return judge_supports(surface, fixed, feature_angle)[0]
-
-
 def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
     """Components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
 
@@ -50,7 +45,7 @@ def _judge(
     weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone
     cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
     weights[held | (cosines < np.cos(np.radians(feature_angle / 2)))] = 0.0
-    between = side.element.vertex_functions(side.element.points)
+    between = side.element.first.shape_functions(side.element.points)
     columns = np.stack([n_f[:, i], n_f[:, i] ** 2, np.ones(len(n_f))], axis=1)[:, None]
     sums = sum_at_nodes(side, columns.repeat(len(between), axis=1))
     means = np.ones((len(n), 4))

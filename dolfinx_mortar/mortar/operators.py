@@ -27,8 +27,8 @@ from dolfinx_mortar.mortar.duals import (
     node_weights,
     weighted_duals,
 )
-from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products
-from dolfinx_mortar.mortar.pairing import Pairing, Weight, pattern_of_P
+from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products, weigh
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_triplets, pattern_of_P
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
 
 SmoothSides = tuple[SmoothSide, SmoothSide]
@@ -128,22 +128,20 @@ def integrate_matrices(
     `keep` (n,) is equal on all ranks. Rows without multiplier vanish, their columns in D do not.
     """
     N_m = pairing.master.element.shape_functions(segments.xi_m)
-    kept = keep[pairing.slave.facets]
     Phi = weighted_duals(pairing, segments, keep) if Phi is None else Phi
-    paired = np.unique(pairing.pairs[:, 0])
-    blocks_D = sums_of_products(Phi, segments.N, segments.slave, len(kept))[paired]
-    both = kept[paired][:, :, None] & kept[paired][:, None, :]
-    blocks_D[both & ~in_D(pairing.slave.element)] = 0.0
+    blocks_D = _blocks_of_D(pairing.slave, segments, keep, Phi)[np.unique(pairing.pairs[:, 0])]
     blocks_M = sums_of_products(Phi, N_m, segments.pair, len(pairing.pairs))
     return pairing.D.sum(blocks_D), pairing.M.sum(blocks_M)
 
 
-def in_D(element: FacetElement) -> Bools:
-    """Entries (k, k) of D between kept nodes of a facet."""
-    found = np.eye(element.nodes, dtype=bool)
-    for middle, *ends in element.shares:
-        found[middle, ends] = True
-    return found
+def _blocks_of_D(slave: Surface, segments: Segments, keep: Bools, Phi: Floats) -> Floats:
+    """Blocks (m, k, k); between kept nodes only D_jj and those of mid-side nodes."""
+    kept, mine = keep[slave.facets], np.eye(slave.element.nodes, dtype=bool)
+    for middle, *ends in slave.element.shares:
+        mine[middle, ends] = True
+    blocks = sums_of_products(Phi, segments.N, segments.slave, len(kept))
+    blocks[kept[:, :, None] & kept[:, None] & ~mine] = 0.0
+    return blocks
 
 
 @timed("~Mortar: assemble motions")
@@ -205,11 +203,8 @@ class SideOperators:
 
 def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
     """Fix the pattern of D of all facets; collective."""
-    index_map = slave.V.dofmap.index_map
-    nodes = index_map.local_to_global(slave.nodes)[slave.facets]
-    block = (*nodes.shape, nodes.shape[1])
-    places = (np.broadcast_to(v, block) for v in (nodes[:, :, None], nodes[:, None]))
-    D = Triplets(slave.V.mesh.comm, index_map, *places)
+    nodes = slave.V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]
+    D = create_triplets(slave, nodes, nodes)
     length = mean_facet_length(slave)
     return WholeSide(slave=slave, D=D, **pattern_of_P(slave, D), facet_length=length, weight=weight)
 
@@ -229,21 +224,12 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     jacobians = np.linalg.norm(scaled_normals(facets, xi), axis=2) * weights
     m, q = jacobians.shape
     which = np.repeat(np.arange(m, dtype=np.int32), q)
-    at, whole = np.tile(xi, (m, 1)), None
-    if side.weight is not None:  # at X, where it is positive
-        points, _ = element.rule
-        others = np.repeat(np.arange(m, dtype=np.int32), len(points))
-        at_X = facets_at(slave, slave.X)
-        jacobians *= side.weight(points_of(at_X, which, at)).reshape(m, q)
-        at_rule = points_of(at_X, others, np.tile(points, (m, 1)))
-        whole = side.weight(at_rule).reshape(m, len(points))
     some = facing[which]
-    which, at = which[some], at[some]
+    which, at, weight = which[some], np.tile(xi, (m, 1))[some], jacobians.ravel()[some]
     none = np.full(len(which), -1, dtype=np.int32)
-    sums = tributary_weights(facets, whole)
-    weight = jacobians.ravel()[some]
+    sums = tributary_weights(facets)
     segments = Segments(none, which, none, at, 0.0 * at, weight, sums, element)
-    return segments, points_of(facets, which, at)
+    return weigh(slave, side.weight, segments, facets), points_of(facets, which, at)
 
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
@@ -252,10 +238,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
     segments, points = whole_facets(side, x, facing)
     weights = node_weights(side, segments)
     keep, Phi = choose_duals(side, segments, weights, allowed)
-    blocks = sums_of_products(Phi, segments.N, segments.slave, len(slave.facets))
-    among = keep[slave.facets]
-    blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0
-    entries = side.D.sum(blocks)
+    entries = side.D.sum(_blocks_of_D(slave, segments, keep, Phi))
     weight = np.zeros((slave.owned, 1))
     places, nodes = side.diagonal
     weight[nodes, 0] = entries[places]

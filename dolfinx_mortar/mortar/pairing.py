@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
-from petsc4py import PETSc
-
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, values_at
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import (
@@ -34,11 +32,10 @@ from dolfinx_mortar.mortar.self_contact import Roles, divide, has_changed
 from dolfinx_mortar.mortar.surface import (
     Surface,
     coordinates,
-    create_groups,
     facets_at,
     find_receivers,
-    group_cones,
     nodal_normals,
+    send,
     thickness_stretches,
 )
 
@@ -68,10 +65,6 @@ class Pairing:
     master_X: Floats  # (nm, d)
     deepest: Floats  # (p,) largest depth of a master, or inf
     sent: Bools  # (own master facets, ranks)
-    groups: list[Ints]  # groups of neighbouring slave facets
-    scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
-    source: PETSc.Vec  # of V: source
-    received: PETSc.Vec  # (d * nm) on this rank: target
     D: Triplets  # int Phi_j N_l^s
     M: Triplets  # int Phi_j N_l^m
     row: Ints  # (e,) owned slave node
@@ -100,9 +93,7 @@ def _send_facets(
     V = master.V
     numbers = V.dofmap.index_map.local_to_global(master.nodes)[master.facets]
     X = master.X[master.facets]
-    sent = numbers, X, deepest
-    parts = V.mesh.comm.alltoall([tuple(v[to] for v in sent) for to in receivers.T])
-    numbers, X, deepest = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    numbers, X, deepest = send(V.mesh.comm, receivers, numbers, X, deepest)
     nodes, first, facets = np.unique(numbers, return_index=True, return_inverse=True)
     facets = facets.reshape(numbers.shape).astype(np.int32)
     return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first], deepest
@@ -115,31 +106,11 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
     return np.asarray(THROUGH * surface.thickness * stretch)
 
 
-def _create_scatter(
-    V: dolfinx.fem.FunctionSpace, nodes: Longs
-) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
-    size = (d * index_map.size_local, d * index_map.size_global)
-    source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
-    target = PETSc.Vec().createSeq(d * len(nodes), comm=PETSc.COMM_SELF)
-    where = PETSc.IS().createBlock(d, nodes.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    return PETSc.Scatter().create(source, where, target, None), source, target
-
-
-def _create_triplets(
-    slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
-) -> tuple[Triplets, Triplets]:
-    index_map = slave.V.dofmap.index_map
-    rows = index_map.local_to_global(slave.nodes)[slave.facets]
-    paired, found = np.unique(pairs[:, 0]), []
-    for i, j in (
-        (rows[paired], rows[paired]),
-        (rows[pairs[:, 0]], nodes[facets][pairs[:, 1]]),
-    ):
-        block = (len(i), i.shape[1], j.shape[1])
-        places = (np.broadcast_to(v, block) for v in (i[:, :, None], j[:, None]))
-        found.append(Triplets(slave.V.mesh.comm, index_map, *places))
-    return found[0], found[1]
+def create_triplets(slave: Surface, rows: Longs, columns: Longs) -> Triplets:
+    """Sums of blocks between global nodes (b, k) and (b, l); collective."""
+    block = (*rows.shape, columns.shape[1])
+    places = (np.broadcast_to(v, block) for v in (rows[:, :, None], columns[:, None]))
+    return Triplets(slave.V.mesh.comm, slave.V.dofmap.index_map, *places)
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
@@ -158,32 +129,6 @@ def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
     }
 
 
-def _check_surfaces(
-    V: dolfinx.fem.FunctionSpace,
-    slave: Surface,
-    master: Surface,
-    u: dolfinx.fem.Function | None,
-) -> None:
-    if slave.V != V or master.V != V:
-        raise ValueError("slave and master have to be surfaces of V.")
-    if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
-        raise ValueError("u has to be a Function of V itself, not of another space or mesh.")
-    common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
-    if common and slave is not master:
-        raise ValueError(
-            f"slave={slave.label} and master={master.label} share {common} facets; "
-            "mark each side of the interface with a tag of its own."
-        )
-
-
-def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
-    if any_rank(sides[0].V.mesh.comm, not finite)[0]:
-        raise ValueError(
-            "u holds NaN or infinity at nodes of slave or master; check the displacement."
-        )
-
-
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
@@ -199,7 +144,6 @@ def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m
 
 @timed("~Mortar: search")
 def create_pairing(
-    V: dolfinx.fem.FunctionSpace,
     slave: Surface,
     master: Surface,
     u: dolfinx.fem.Function | None,
@@ -220,24 +164,31 @@ def create_pairing(
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
-        ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or at the first search no facets face each other.
+        ValueError: On all ranks, if the sides share facets, u is not finite there, or at the first
+            search no facets face each other.
     """
-    _check_surfaces(V, slave, master, u)
-    _check_finite(u, slave, master)
-    comm = V.mesh.comm
+    V, comm = slave.V, slave.V.mesh.comm
+    common = comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
+    if common and slave is not master:
+        raise ValueError(
+            f"slave={slave.label} and master={master.label} share {common} facets; "
+            "mark each side of the interface with a tag of its own."
+        )
     slaves, n_s = _slave_facets(slave, u)
     masters = facets_at(master, coordinates(master, u))
-    margin, groups = sliding_margins(slaves.x) * moving, create_groups(slaves.x)
+    if any_rank(comm, not (np.isfinite(slaves.x).all() and np.isfinite(masters.x).all()))[0]:
+        raise ValueError(
+            "u holds NaN or infinity at nodes of slave or master; check the displacement."
+        )
+    margin = sliding_margins(slaves.x) * moving
     receivers: Bools = np.ones((len(masters.x), 1), dtype=bool)
     if comm.size > 1:
-        cones = group_cones(slaves.x, bounding_directions(slaves, n_s), groups, margin)
-        receivers = find_receivers(comm, cones, masters)
+        along = bounding_directions(slaves, n_s)
+        receivers = find_receivers(comm, slaves.x, along, margin, masters)
     own = _deepest(slave, u, slave is master)
     others = own if slave is master else _deepest(master, u, False)
     nodes, facets, X, deepest = _send_facets(master, receivers, others)
-    scatter, source, received = _create_scatter(V, nodes)
-    copies = Facets(master.element, _master_coordinates(X, scatter, source, received, u)[facets])
+    copies = Facets(master.element, _coordinates_of(V, nodes, X, u)[facets])
     pairs = find_candidates(slaves, n_s, copies, margin)
     roles = None
     if slave is master:
@@ -247,10 +198,20 @@ def create_pairing(
     elif not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     deepest = np.minimum(own[pairs[:, 0]], deepest[pairs[:, 1]])
-    same = earlier is not None and _has_pairs(earlier, pairs, nodes, facets)
-    if earlier is not None and comm.allreduce(same, op=MPI.LAND):
-        return replace(earlier, sent=receivers, groups=groups, deepest=deepest, roles=roles)
-    D, M = _create_triplets(slave, pairs, nodes, facets)
+    if (
+        earlier is not None
+        and not any_rank(
+            comm,
+            not np.array_equal(earlier.pairs, pairs),
+            not np.array_equal(earlier.master_nodes, nodes),
+            not np.array_equal(earlier.master_facets, facets),
+        ).any()
+    ):
+        return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
+    rows = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]
+    paired = rows[np.unique(pairs[:, 0])]
+    D = create_triplets(slave, paired, paired)
+    M = create_triplets(slave, rows[pairs[:, 0]], nodes[facets][pairs[:, 1]])
     return Pairing(
         slave=slave,
         master=master,
@@ -260,10 +221,6 @@ def create_pairing(
         master_X=X,
         deepest=deepest,
         sent=receivers,
-        groups=groups,
-        scatter=scatter,
-        source=source,
-        received=received,
         D=D,
         M=M,
         **pattern_of_P(slave, D, M),
@@ -272,39 +229,27 @@ def create_pairing(
     )
 
 
-def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
-    same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
-    return same and np.array_equal(pairing.master_facets, facets)
-
-
-def _master_coordinates(
-    X: Floats,
-    scatter: PETSc.Scatter,
-    source: PETSc.Vec,
-    received: PETSc.Vec,
-    u: dolfinx.fem.Function | None,
+def _coordinates_of(
+    V: dolfinx.fem.FunctionSpace, nodes: Longs, X: Floats, u: dolfinx.fem.Function | None
 ) -> Floats:
+    """Coordinates X + u (n, d) of global nodes; collective."""
     if u is None:
         return X
-    # not u.x.petsc_vec: dolfinx destroys it with u, at different times on ranks: a deadlock
-    source.array_w[:] = u.x.array[: source.local_size]
-    scatter.scatter(source, received)
-    return X + received.array_r.reshape(X.shape)
+    own = u.x.array[: V.dofmap.index_map.size_local * X.shape[1]].reshape(-1, X.shape[1])
+    return np.asarray(X + values_at(V.mesh.comm, own, nodes))
 
 
-def receive(pairing: Pairing, values: Floats) -> Floats:
-    """Owners' values (n, d) at the received master nodes (nm, d); collective."""
-    master, d = pairing.master, values.shape[1]
-    own = slice(None, master.owned)
-    pairing.source.array_w.reshape(-1, d)[master.nodes[own]] = values[own]
-    pairing.scatter.scatter(pairing.source, pairing.received)
-    return np.array(pairing.received.array_r).reshape(-1, d)
+def receive(pairing: Pairing, values: npt.NDArray[Any]) -> Floats:
+    """Owners' values (n, c) at the received master nodes (nm, c); collective."""
+    master, index_map = pairing.master, pairing.master.V.dofmap.index_map
+    at = np.zeros((index_map.size_local, values.shape[1]))
+    at[master.nodes[: master.owned]] = values[: master.owned]
+    return values_at(master.V.mesh.comm, at, pairing.master_nodes)
 
 
 def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
     """Received master facets at X + u (collective)."""
-    vectors = pairing.scatter, pairing.source, pairing.received
-    x = _master_coordinates(pairing.master_X, *vectors, u)
+    x = _coordinates_of(pairing.master.V, pairing.master_nodes, pairing.master_X, u)
     return Facets(pairing.master.element, x[pairing.master_facets])
 
 
@@ -328,7 +273,7 @@ def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         own = facets_at(pairing.master, coordinates(pairing.master, u))
-        cones = group_cones(slave.x, bounding_directions(slave, n_s), pairing.groups, none)
-        receivers = find_receivers(comm, cones, own)
+        along = bounding_directions(slave, n_s)
+        receivers = find_receivers(comm, slave.x, along, none, own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

@@ -35,7 +35,11 @@ class Roles:
 
 
 def distances_in_reach(
-    facets: Facets, copies: Facets, pairs: Ints, nodes: tuple[Longs, Longs], deepest: Floats
+    facets: Facets,
+    copies: Facets,
+    pairs: Ints,
+    nodes: tuple[Longs, Longs],
+    deepest: tuple[Floats, Floats],
 ) -> Floats:
     """Distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
@@ -44,12 +48,13 @@ def distances_in_reach(
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
     size = np.maximum(facet_sizes(facets.x)[f], facet_sizes(copies.x)[g])
+    limit = np.minimum(deepest[0][f], deepest[1][g])
     middle, other = facets.x.mean(axis=1)[f], copies.x.mean(axis=1)[g]
     near = np.linalg.norm(middle - other, axis=1) <= (REACH + 1.0) * size
     near &= ~(nodes[0][f][:, :, None] == nodes[1][g][:, None]).any(axis=(1, 2))
     for at, x, n in ((middle, copies.x[g], facets[f]), (other, facets.x[f], copies[g])):
         before = np.einsum("pki,pi->pk", x - at[:, None], facet_normals(n))
-        near &= before.max(axis=1, initial=-np.inf) > -deepest
+        near &= before.max(axis=1, initial=-np.inf) > -limit
     some = np.flatnonzero(near)
     found[some] = facet_distances(facets[f[some]], copies[g[some]]) / size[some]
     found[found > REACH] = np.inf
@@ -65,9 +70,9 @@ def choose_roles(
 ) -> tuple[Bools, Bools]:
     """Which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Pair by pair, the nearest first: facets that face each other have opposite roles; neighbours, a
-    diameter apart, the same; then the finer one at X is the slave. Undecided parts begin with a
-    slave in the order of coordinates, on all ranks.
+    Pair by pair, the nearest first (a spanning tree): facets that face each other have opposite
+    roles; neighbours, a diameter apart, the same; then the finer one at X is the slave. Undecided
+    parts begin with a slave in the order of coordinates, on all ranks.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -108,12 +113,25 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     different = np.concatenate(
         [np.ones(len(a)), np.zeros(beside.shape[1]), powers[unequal] > 0.0]
     ).astype(bool)
-    parts = _Parts(n + 1)
-    for k in np.lexsort((different, second, first, np.round(apart / HALF_OF_DIGITS))):
-        parts.join(int(first[k]), int(second[k]), bool(different[k]))
-    root, odd = (np.array(found) for found in zip(*map(parts.find, range(n + 1)), strict=True))
-    # the root is the first facet of a part
-    return np.asarray(odd == np.where(root == root[slaves], odd[slaves], False))[rank]
+    nearest = np.lexsort((different, second, first, np.round(apart / HALF_OF_DIGITS)))
+    # at last each part begins with a slave, its first facet
+    first, second = (
+        np.append(first[nearest], np.arange(n)),
+        np.append(second[nearest], [slaves] * n),
+    )
+    different = np.append(different[nearest], np.zeros(n, dtype=bool))
+    _, place = np.unique(first * (n + 1) + second, return_index=True)
+    ends = first[place].astype(np.int32), second[place].astype(np.int32)
+    graph = scipy.sparse.csr_array((place + 1.0, ends), shape=(n + 1, n + 1))
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(graph).tocoo()
+    way, above = scipy.sparse.csgraph.breadth_first_order(tree, slaves, directed=False)
+    other: dict[tuple[int, int], bool] = {}
+    for i, j, k in zip(tree.row.tolist(), tree.col.tolist(), tree.data, strict=True):
+        other[i, j] = other[j, i] = bool(different[int(k) - 1])
+    odd = np.zeros(n + 1, dtype=bool)
+    for k in way[1:].tolist():
+        odd[k] = odd[above[k]] ^ other[k, int(above[k])]
+    return ~odd[rank]
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
@@ -138,8 +156,7 @@ def divide(
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
     """Candidates (p, 2) from slaves to masters, and roles; collective."""
-    limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
-    distance = distances_in_reach(facets, copies, pairs, nodes, limit)
+    distance = distances_in_reach(facets, copies, pairs, nodes, deepest)
     near = np.flatnonzero(distance < np.inf)
     pairs, distance = pairs[near], distance[near]
     slave, other = choose_roles(comm, pairs, distance, nodes, X)
@@ -153,9 +170,7 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
 
     On this rank, since the roles were chosen.
     """
-    limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
-    nodes = roles.nodes
-    distance = distances_in_reach(facets, copies, pairs, nodes, limit)
+    distance = distances_in_reach(facets, copies, pairs, roles.nodes, roles.deepest)
     near = np.flatnonzero(distance <= REACH / 2)
     pairs, distance = pairs[near], distance[near]
     keys = pairs[:, 0].astype(np.int64) * len(roles.copies) + pairs[:, 1]
@@ -171,27 +186,3 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
     settled |= own & ~other & known
     settled |= (own == other) & known & (distance > then / 2)
     return bool((~settled).any())
-
-
-class _Parts:
-    """Roles of facets relative to a root (union-find with parity)."""
-
-    def __init__(self, n: int) -> None:
-        self.above = list(range(n))
-        self.odd = [False] * n  # role relative to the parent
-
-    def find(self, k: int) -> tuple[int, bool]:
-        way, odd = [], False
-        while self.above[k] != k:
-            way.append(k)
-            k = self.above[k]
-        for one in reversed(way):  # path compression
-            odd ^= self.odd[one]
-            self.above[one], self.odd[one] = k, odd
-        return k, odd
-
-    def join(self, a: int, b: int, different: bool) -> None:
-        (r, p), (s, q) = self.find(a), self.find(b)
-        if r != s:
-            self.above[max(r, s)] = min(r, s)
-            self.odd[max(r, s)] = p ^ q ^ different

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.parallel import any_rank, raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
@@ -98,13 +98,14 @@ def check_tags(facet_tags: Any) -> None:
         raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
 
 
-def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
-    facet_map = facet_tags.topology.index_map(facet_tags.dim)
-    mark = dolfinx.la.vector(facet_map)
-    mark.array[:] = 0.0
-    mark.array[facet_tags.find(tag)] = 1.0
-    mark.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.flatnonzero(mark.array[: facet_map.size_local]).astype(np.int32)
+def marks(index_map: dolfinx.common.IndexMap, local: Ints) -> Bools:
+    """Local entries that any rank marks; collective."""
+    found = dolfinx.la.vector(index_map)
+    found.array[:] = 0.0
+    found.array[local] = 1.0
+    found.scatter_reverse(dolfinx.la.InsertMode.add)
+    found.scatter_forward()
+    return np.asarray(found.array > 0.0)
 
 
 def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
@@ -125,7 +126,9 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     connect(topology)
     with raised_together(comm):
         check_entities("facet_tags", facet_tags)
-    facets = _owned_facets_with(facet_tags, tag)
+    facet_map = facet_tags.topology.index_map(fdim)
+    marked = marks(facet_map, facet_tags.find(tag))[: facet_map.size_local]
+    facets = np.flatnonzero(marked).astype(np.int32)
     exterior = dolfinx.mesh.exterior_facet_indices(topology)
     inside = np.setdiff1d(facets, exterior)
     total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
@@ -178,16 +181,12 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
     """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
-    number = dolfinx.la.vector(index_map)
-    number.array[:] = 0.0
-    number.array[nodes] = 1.0
-    number.scatter_reverse(dolfinx.la.InsertMode.add)
-    owned = np.flatnonzero(number.array[: index_map.size_local])
-    first = V.mesh.comm.exscan(len(owned)) or 0
-    number.array[owned] = first + np.arange(len(owned))
-    number.scatter_forward()
+    owned = np.flatnonzero(marks(index_map, nodes)[: index_map.size_local])
+    numbers = np.zeros((index_map.size_local, 1))
+    numbers[owned, 0] = (V.mesh.comm.exscan(len(owned)) or 0) + np.arange(len(owned))
     ghosts = nodes[nodes >= index_map.size_local]
-    ghost_numbers = number.array[ghosts].astype(PETSc.IntType)
+    asked = index_map.local_to_global(ghosts)
+    ghost_numbers = values_at(V.mesh.comm, numbers, asked)[:, 0].astype(PETSc.IntType)
     sums = PETSc.Vec().createGhost(ghost_numbers, (len(owned), None), comm=V.mesh.comm)
     return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
 
@@ -248,7 +247,7 @@ def create_surface(
 
 def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
     comm = V.mesh.comm
-    result = thickness_behind(facets, facets, comm)
+    result = thickness(facets, seen_facets(comm, facets, facets)[0])
     unknown = np.isinf(result)
     around, partly, edges = any_rank(
         comm, (~unknown).any(), unknown.any(), _meet_at_edges(V, facets, nodes)
@@ -269,7 +268,8 @@ def thickness_of_bodies(
     found = np.full(len(body), np.inf)
     for one in np.unique(np.concatenate(comm.allgather(np.unique(body)))):
         mine = np.flatnonzero(body == one)
-        found[mine] = thickness_behind(facets[mine], others[np.flatnonzero(of == one)], comm)
+        theirs = seen_facets(comm, facets[mine], others[np.flatnonzero(of == one)])[0]
+        found[mine] = thickness(facets[mine], theirs)
     return found
 
 
@@ -291,17 +291,6 @@ def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) ->
     sums.scatter_reverse(dolfinx.la.InsertMode.add)
     sums.scatter_forward()
     return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
-
-
-def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:
-    """Thickness (m,) behind facets of this rank among those of all; collective."""
-    if comm.size > 1:
-        n = facet_normals(facets)[:, None]
-        cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
-        receivers = find_receivers(comm, cones, others)
-        parts = comm.alltoall([others.x[to] for to in receivers.T])
-        others = Facets(others.element, np.concatenate(parts))
-    return thickness(facets, others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,6 +360,11 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
     return accumulate(surface, sums)
 
 
+def nodal_means(surface: Surface, values: Floats) -> Floats:
+    """Means (n, c) of values (m, c) of all ranks' facets at nodes; collective."""
+    return means_at_nodes(surface.V, surface.nodes[surface.facets], values)[surface.nodes]
+
+
 @numba.njit(cache=True)
 def add_at_nodes(sums, nodes, values):  # type: ignore[no-untyped-def]
     """Add values (m, k, c) at nodes (m, k) to sums (n, c)."""
@@ -419,9 +413,7 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
     turns = np.arccos(np.clip(cosines, -1.0, 1.0))
     turn = np.where(turns > np.radians(feature_angle / 2), 0.0, turns).max(axis=1, initial=0.0)
     sagitta = facet_sizes(facets.x) * turn / (4 * surface.element.degree**2)
-    own = np.stack([sagitta, np.ones(len(turn))], axis=1)
-    total, count = sum_at_nodes(surface, np.repeat(own[:, None], surface.element.nodes, axis=1)).T
-    return np.asarray(total / np.maximum(count, 1.0))
+    return nodal_means(surface, sagitta[:, None])[:, 0]
 
 
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
@@ -483,12 +475,10 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
     Means of the change of volume over area.
     """
-    element, (nodes, X, slopes, height) = surface.element, surface.behind
+    nodes, X, slopes, height = surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
     stretch = np.abs(_heights_behind(surface, x, coordinates(surface, u), slopes) / height)
-    columns = np.stack([stretch, np.ones_like(stretch)], axis=1)[:, None]
-    total = sum_at_nodes(surface, np.repeat(columns, element.nodes, axis=1))
-    return np.asarray(total[:, 0] / total[:, 1])
+    return nodal_means(surface, stretch[:, None])[:, 0]
 
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
@@ -507,29 +497,42 @@ def mean_facet_length(surface: Surface) -> float:
     return float(total / count)
 
 
-def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets into at most ceil(sqrt(m)) compact groups."""
-    order = sort_in_space(x.mean(axis=1)).astype(np.int32)
-    size = 1
+def find_receivers(
+    comm: MPI.Intracomm, x: Floats, directions: Floats, margin: Floats, facets: Facets
+) -> Bools:
+    """Own facets (m, ranks) that other ranks may need (collective).
+
+    For projections of facets x (m, k, d) along directions (m, k', d), bounded in compact groups.
+    """
+    order, size = sort_in_space(x.mean(axis=1)), 1
     while size**2 < len(x):  # powers of 2: groups are compact
         size *= 2
-    return [order[first : first + size] for first in range(0, len(x), size)]
-
-
-def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Floats) -> Cones:
-    """Bound the projections of groups of facets x (m, k, d) along directions (m, k', d)."""
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
-    for group in groups:
+    for group in (order[first : first + size] for first in range(0, len(x), size)):
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
         cones.append(create_cones(nodes, normals, margin[group].max(keepdims=True)))
     names = (field.name for field in fields(Cones))
-    return Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
-
-
-def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
-    """Own facets (m, ranks) that other ranks may need (collective)."""
+    every = Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
-    for rank, others in enumerate(comm.allgather(cones)):
+    for rank, others in enumerate(comm.allgather(every)):
         needed[find_meeting(others, *balls)[:, 1], rank] = True
     return needed
+
+
+def send(comm: MPI.Intracomm, receivers: Bools, *values: npt.NDArray[Any]) -> list[Any]:
+    """Rows of values (m, ..), by receivers (m, ranks), that this rank gets; collective."""
+    parts = comm.alltoall([tuple(v[to] for v in values) for to in receivers.T])
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+
+def seen_facets(
+    comm: MPI.Intracomm, asking: Facets, others: Facets, *values: npt.NDArray[Any]
+) -> list[Any]:
+    """All ranks' facets, and values (m, ..), that this rank's may face; collective."""
+    if comm.size == 1:
+        return [others, *values]
+    n = facet_normals(asking)[:, None]
+    receivers = find_receivers(comm, asking.x, n, np.zeros(len(n)), others)
+    x, *found = send(comm, receivers, others.x, *values)
+    return [Facets(others.element, x), *found]

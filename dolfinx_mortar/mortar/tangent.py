@@ -18,18 +18,13 @@ from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Blocks
 from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
-from dolfinx_mortar.geometry.curvature import common_sagittas, first_order, height_table, node_pairs
 from dolfinx_mortar.geometry.curvature import edges as edges_of
+from dolfinx_mortar.geometry.curvature import height_table, node_pairs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.moments import Sides, Sums, whole
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.curvature_correction import (
-    Curved,
-    SmoothSide,
-    find_curved,
-    pair_sagittas,
-)
+from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
@@ -64,7 +59,7 @@ class Derivatives:
 class _Surfaces(NamedTuple):
     c_s: Floats  # (P, e) c_ab, or (P, 0)
     c_m: Floats  # (P, e')
-    arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
+    arcs: Floats  # (P, 2, 2) see `curvature.arcs_of_chords`
     slopes: Floats  # (P, s, k + l, d) of c_ab, or of log chord lengths
     tables: tuple[Floats, Floats]  # (e, k, k) see `height_table`
     lengths: bool  # slopes are of lengths
@@ -208,11 +203,9 @@ def _surfaces(
     slopes: Floats = np.empty((len(used), 0, slave.nodes + master.nodes, pairing.slave.X.shape[1]))
     lengths = False
     if smooth is not None:
-        c_s, c_m, arcs = pair_sagittas(pairing, u, smooth, used)
         a, b = find_curved(pairing, u, smooth, used)
+        c_s, c_m, arcs = a.shared(b), b.shared(a), np.stack([a.arcs, b.arcs], axis=1)
         lengths, shared = bool(arcs[:, :, 0].any()), slave.degree == 1
-        if shared:
-            c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
         if shared or lengths:
             of_s, of_m = _slopes(a, b, shared), _slopes(b, a, shared)[::-1]
             slopes = np.concatenate([np.concatenate(of, axis=2) for of in (of_s, of_m)], axis=1)
@@ -221,7 +214,7 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
+    e, (a, b) = edges_of(side.facets), node_pairs(side.facets.element.first)
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (
         np.zeros((P, count, k, d)),

@@ -12,11 +12,11 @@ in De q.z_0. A step t q moves its nodes on arcs, not to u_0 + t e.q.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -28,10 +28,8 @@ from dolfinx_mortar.arrays import (
     TINY,
     Bools,
     Floats,
-    Ints,
 )
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.tool import Driven
@@ -46,47 +44,84 @@ from dolfinx_mortar.newton_method.linearisation import (
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
 
-DISTINCT = 0.5
-"""Share of nodes that a motion closes or opens, for a message: -1, or 0 to 0.24 in the tests."""
 
-
-@dataclass(frozen=True)
-class Settled:
-    """A QP in which the tools are in equilibrium with their loads."""
-
-    lin: Linearisation
-    solved: QPSolution
-    travel: Floats  # (m,) q
-    drives: Drives
-
-    def curve(self, t: float) -> Floats:
-        """Difference (n,) between rotations of rigid sides and their motions t e.q."""
-        return self.drives.curve(t * self.travel)
-
-
-@dataclass(frozen=True)
 class Drives:
-    """Unknown motions of all driven tools at an iterate."""
+    """Unknown motions q (m,) of all driven tools at an iterate; collective.
 
-    tools: list[tuple[Interface, Driven]]
-    motions: Floats  # e, of the owned unknowns of y
-    loads: Floats  # (m,) F
-    reach: Floats  # (m,) largest motion of a slave node by each
-    held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
-    follows: Bools  # motions of rigid sides and bolts
-    sides: Bools  # motions of rigid sides
-    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n), to first order
-    curve: Callable[[Floats], Floats]  # q (m,) -> rotations minus e.q (n,)
-    product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
-    comm: MPI.Comm
+    A slave node moves by sum_l D_jl e_l / D_jj.
+
+    Attributes:
+        motions: (m, n) e, of the owned unknowns of y.
+        arms: (m,) largest motion of a node by each unknown.
+        reach: (m,) largest motion of a point of the slave side by each.
+        loads: (m,) F, with the work of given reactions.
+        held: (k,) owned unknowns of y that follow rigid sides and bolts.
+        follows: (m,) motions of rigid sides and bolts.
+        sides: (m,) motions of rigid sides.
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        tools: Sequence[tuple[Link, Driven]],
+        known: Floats | None = None,
+    ) -> None:
+        self.problem, self.tools, self.comm = problem, tools, problem.comm
+        at = problem.X if problem.configuration is None else problem.positions().array_r
+        self._x = at.reshape(problem.X.shape)
+        counts = [len(tool.names) for _, tool in tools]
+        self._ends, none = np.cumsum(counts)[:-1], np.zeros(sum(counts))
+        self.motions = self.moved(none)
+        self.arms = maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
+        held, reach, works = [np.zeros(0, dtype=np.int32)], none.copy(), none.copy()
+        for (link, tool), q, arm, far, work in self._each(none, self.arms, reach, works):
+            if isinstance(tool, Bolt):
+                tool.check(link.sides, float(arm.max()))
+            if tool.holds:
+                node, axis = np.nonzero(link.constrained)
+                held.append((problem.d * link.nodes[node] + axis).astype(np.int32))
+            ways = tool.motions(self._x[link.nodes], problem.X[link.nodes], q)
+            far[:] = np.linalg.norm(ways, axis=2).max(axis=1, initial=0.0)
+            if known is not None:
+                acting = np.where(link.constrained[:, :1], known[link.nodes], 0.0)
+                means = [relative_motions(link, link.spread(way))[0] for way in ways]
+                work[:] = [(mean * acting).sum() for mean in means]
+        longest = maximum(self.comm, *reach)
+        self.reach = np.where(longest > 0.0, longest, 1.0)
+        loads = np.concatenate([tool.loads() for _, tool in tools])
+        self.loads: Floats = loads + self.comm.allreduce(works, op=MPI.SUM)
+        self.held = np.concatenate(held)
+        self.follows = np.repeat([tool.holds for _, tool in tools], counts)
+        sides = [tool.holds and not isinstance(tool, Bolt) for _, tool in tools]
+        self.sides = np.repeat(sides, counts)
+
+    def _each(self, *values: Floats | Bools) -> Iterator[Any]:
+        """Each tool with its parts of values (m, ..)."""
+        return zip(self.tools, *(np.split(v, self._ends) for v in values), strict=True)
+
+    def moved(self, travel: Floats) -> Floats:
+        """Motions e (m, n), turned by q (m,), to first order; collective."""
+        problem = self.problem
+        e = np.zeros((len(travel), problem.n, problem.d))
+        for (link, tool), own, q in self._each(e, travel):
+            ways = tool.motions(self._x[link.nodes], problem.X[link.nodes], q)
+            own[:, link.nodes] = [link.relative(link.spread(way)) for way in ways]
+            own[:, link.nodes] *= link.constrained
+        return e.reshape(len(travel), -1)
+
+    def curve(self, travel: Floats) -> Floats:
+        """Rotations of rigid sides by q (m,) minus e.q (n,)."""
+        beside = np.zeros((self.problem.n, self.problem.d))
+        for (link, tool), q in self._each(travel):
+            if tool.holds:
+                at = self.problem.X[link.nodes]
+                beside[link.nodes] += tool.curve(at, q) * link.constrained
+        return beside.ravel()
 
     def move(self, travel: Floats) -> None:
         """Move the tools by q (m,)."""
-        first = 0
-        for _, tool in self.tools:
-            end = first + len(tool.names)
-            tool.move(travel[first:end])
-            first = end
+        for (_, tool), q in self._each(travel):
+            tool.move(q)
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
         """Residuals F + e.z (m,) for reactions z (n,), and sizes of terms; collective."""
@@ -95,22 +130,18 @@ class Drives:
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
         if (on := self.sides).any():  # each force is as accurate as the largest
-            arms = np.maximum(self.arms(), TINY)
+            arms = np.maximum(self.arms, TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
 
     def noise(self, balance: Balance) -> Floats:
-        """Round-off (m,) of the reactions; collective."""
-        return np.asarray(ROUND_OFF * balance.elements * self.arms())
-
-    def arms(self) -> Floats:
-        """Largest motion (m,) of a node by each unknown; collective."""
-        return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
+        """Round-off (m,) of the reactions."""
+        return np.asarray(ROUND_OFF * balance.elements * self.arms)
 
     def allowed(self, force: float) -> Floats:
-        """Tolerances (m,) of loads on rigid sides and bolts; collective."""
+        """Tolerances (m,) of loads on rigid sides and bolts."""
         on = self.sides | (self.follows & (self.loads == 0.0))
-        return np.where(on, force * self.arms(), 0.0)
+        return np.where(on, force * self.arms, 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise a StepFailed if an open gap separates a body from a loaded tool; collective.
@@ -118,107 +149,28 @@ class Drives:
         With inertia a load would move tools, which have no mass, across it instantaneously. Gaps of
         the mesh are below h / 8: h^2 / (8 R) at a tool of radius R >= h, the facet length.
         """
-        loaded, first = np.abs(self.loads) > self.noise(balance), 0
+        loaded = np.abs(self.loads) > self.noise(balance)
         left = np.where(active[balance.nodes], 0.0, balance.bounds.upper)
-        for owner, tool in self.tools:
-            end = first + len(tool.names)
-            on = self.motions[first:end, balance.bounds.dofs].any(axis=0)
+        for (link, tool), e, acts in self._each(self.motions, loaded):
+            on = e[:, balance.bounds.dofs].any(axis=0)
             gap = float(self.comm.allreduce(left[on].min(initial=np.inf), op=MPI.MIN))
-            if loaded[first:end].any() and not tool.holds and facet_length / 8.0 < gap < np.inf:
+            if acts.any() and not tool.holds and facet_length / 8.0 < gap < np.inf:
                 raise StepFailed(
-                    f"{owner!r} has a load and is {gap:.3g} from the body. With inertia, let tools "
-                    "touch the body at the start: tools have no mass, so that forces move them "
-                    "across a gap instantaneously. Prescribe the position until it touches, or "
-                    "mesh the tool as a body with mass"
+                    f"{link.interface!r} has a load and is {gap:.3g} from the body. With inertia, "
+                    "let tools touch the body at the start: tools have no mass, so that forces "
+                    "move them across a gap instantaneously. Prescribe the position until it "
+                    "touches, or mesh the tool as a body with mass"
                 )
-            first = end
 
 
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
     """Motions of the driven tools in the present geometry, None for none; collective.
 
-    A slave node moves by sum_l D_jl e_l / D_jj. Reactions `known` (owned nodes, d) act like loads.
+    Reactions `known` (owned nodes, d) act like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
-    parts = [(link, tool) for link, tool in offered if tool is not None]
-    if not parts:
-        return None
-    x = problem.X if problem.configuration is None else problem.positions().array_r
-    x = x.reshape(problem.X.shape)
-    counts = [len(tool.names) for _, tool in parts]
-    ends = np.cumsum(counts)[:-1]
-
-    def moved(travel: Floats) -> Floats:
-        e = np.zeros((len(travel), problem.n, problem.d))
-        for (link, tool), own, q in zip(
-            parts, np.split(e, ends), np.split(travel, ends), strict=True
-        ):
-            ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
-            own[:, link.nodes] = [link.relative(link.spread(way)) for way in ways]
-            own[:, link.nodes] *= link.constrained
-        return e.reshape(len(travel), -1)
-
-    def curve(travel: Floats) -> Floats:
-        beside = np.zeros((problem.n, problem.d))
-        for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
-            if tool.holds:
-                beside[link.nodes] += tool.curve(problem.X[link.nodes], q) * link.constrained
-        return beside.ravel()
-
-    def product(y: PETSc.Vec) -> PETSc.Vec:
-        T = problem.system.transformation
-        return to_reduced(T, problem.K * to_displacement(T, y))
-
-    loads, none = _loads(problem, parts, x, known), np.zeros(sum(counts))
-    motions, whole = moved(none), [_ways(problem, *part, x) for part in parts]
-    lengths = [np.linalg.norm(ways, axis=2).max(axis=1, initial=0.0) for ways in whole]
-    reach = maximum(problem.comm, *np.concatenate(lengths))
-    arms = maximum(problem.comm, *np.abs(motions).max(axis=1, initial=0.0))
-    for (link, tool), own in zip(parts, np.split(np.asarray(arms), ends), strict=True):
-        if isinstance(tool, Bolt):
-            tool.check(link.sides, float(own.max()))
-    held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
-    return Drives(
-        tools=[(link.interface, tool) for link, tool in parts],
-        motions=motions,
-        loads=loads,
-        reach=np.where(reach > 0.0, reach, 1.0),
-        held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
-        follows=np.repeat([tool.holds for _, tool in parts], counts),
-        sides=np.repeat([tool.holds and not isinstance(tool, Bolt) for _, tool in parts], counts),
-        moved=moved,
-        curve=curve,
-        product=product,
-        comm=problem.comm,
-    )
-
-
-def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats) -> Floats:
-    return tool.motions(x[link.nodes], problem.X[link.nodes], np.zeros(len(tool.names)))
-
-
-def _loads(
-    problem: ContactProblem,
-    parts: Sequence[tuple[Link, Driven]],
-    x: Floats,
-    known: Floats | None,
-) -> Floats:
-    """Loads (m,), with the work of given reactions; collective."""
-    loads = np.concatenate([tool.loads() for _, tool in parts])
-    if known is None:
-        return loads
-    given = []
-    for link, tool in parts:
-        acting = np.where(link.constrained[:, :1], known[link.nodes], 0.0)
-        for way in _ways(problem, link, tool, x):
-            mean = relative_motions(link, link.spread(way))[0]
-            given.append(float((mean * acting).sum()))
-    return np.asarray(loads + problem.comm.allreduce(np.array(given), op=MPI.SUM))
-
-
-def _unknowns(link: Link, d: int) -> Ints:
-    node, axis = np.nonzero(link.constrained)
-    return (d * link.nodes[node] + axis).astype(np.int32)
+    tools = [(link, tool) for link, tool in offered if tool is not None]
+    return Drives(problem, tools, known) if tools else None
 
 
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
@@ -234,13 +186,14 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
     block: Floats = np.zeros((m, m))
     e[:, held] = 0.0
     if drives.follows.any():
+        T = drives.problem.system.transformation
         before, parts = lin.balance.reduced.array_r, np.zeros((m, m + 1))
         turned = np.stack([drives.moved(unit) for unit in np.eye(m)]) - drives.motions
         scale = lin.qp.diagonal.array_r[held]
         for a in np.flatnonzero(drives.follows):
             side, vector = drives.motions[a, held], lin.qp.b.duplicate()
             vector.array[held] = side
-            product = drives.product(vector).array_r
+            product = to_reduced(T, drives.problem.K * to_displacement(T, vector)).array_r
             parts[a, m] = side @ before[held] - product[equal.dofs] @ equal.upper
             parts[a, :m] = (
                 drives.motions[:, held] @ product[held] - turned[:, a, held] @ before[held]
@@ -258,12 +211,13 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
     return Scalars(e * each, *forces)
 
 
-def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float) -> Settled:
-    """Solution of a QP, with the tools moved, in a model of size `extent`; collective.
+def settle(lin: Linearisation, solved: QPSolution, extent: float) -> tuple[Linearisation, Floats]:
+    """QP and motions q (m,) in which tools balance their loads; `extent`: of the model; collective.
 
     Raises:
         StepFailed: if hardly anything resists a load.
     """
+    drives = lin.drives
     assert solved.travel is not None and solved.resistance is not None and lin.qp.scalars
     scale = drives.reach
     q = solved.travel / scale
@@ -272,38 +226,31 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
     least = int(np.argmin(np.abs(values)))
     if drives.follows.all() and np.abs(values[least]) <= SAME:
         weakest = np.abs(vectors[:, least])
-        raise unresisted(drives, lin, np.asarray(weakest == weakest.max()))
+        raise unresisted(lin, np.asarray(weakest == weakest.max()))
     if not QUARTER_OF_DIGITS * np.abs(solved.travel).max() <= extent:  # a body is free
-        raise unresisted(drives, lin, np.abs(solved.travel))
+        raise unresisted(lin, np.abs(solved.travel))
     equal, held = lin.balance.equal, np.zeros(len(solved.x.array_r))
     held[drives.held] = (q @ drives.motions)[drives.held]
     values = equal.upper + held[equal.dofs]
     solved.x.array[equal.dofs] = values
     balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
-    return Settled(
-        replace(lin, qp=moved(lin.qp, solved.travel), balance=balance), solved, q, drives
-    )
+    return replace(lin, qp=moved(lin.qp, solved.travel), balance=balance), q
 
 
-def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
-    return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
-
-
-def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
+def unresisted(lin: Linearisation, which: Floats) -> StepFailed:
     """Error that names the load of largest `which`; collective."""
-    k = int(np.argmax(which))
-    name, owner, tool = _names(drives)[k]
+    drives, k = lin.drives, int(np.argmax(which))
+    names = [(name, link.interface, tool) for link, tool in drives.tools for name in tool.names]
+    name, owner, tool = names[k]
+    seen = f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: "
     if tool.holds:
         held = "hold the body against it, or prescribe the position"
-        remedy = tool.remedy if isinstance(tool, Bolt) else held
-        return StepFailed(
-            f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}"
-        )
+        return StepFailed(seen + (tool.remedy if isinstance(tool, Bolt) else held))
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
     sums = drives.comm.allreduce(np.array([closing.sum(), np.abs(closing).sum()]))
     if "moment" in name:
         remedy = "a tool that is round about that axis turns freely without friction; leave it out"
-    elif sums[0] < -DISTINCT * sums[1]:
+    elif sums[0] < -0.5 * sums[1]:  # -1, or 0 to 0.24 in the tests
         slides = ", or give friction if it slides" if lin.qp.friction is None else ""
         remedy = f"the force on a tool has to press it on the body; change its sign{slides}"
     elif lin.qp.friction is None:
@@ -313,10 +260,7 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
             f"along {name} friction carries a load up to its limit only, where another force "
             "presses the tool on the body; give that force in an earlier step"
         )
-    return StepFailed(
-        f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
-        "prescribe the position"
-    )
+    return StepFailed(f"{seen}{remedy}, or prescribe the position")
 
 
 def miss(

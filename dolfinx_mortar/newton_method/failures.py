@@ -50,10 +50,6 @@ UNSTABLE = {
     "fail, too, the next equilibrium is far away: prescribe the displacement of another point, or "
     "follow the motion in time, dm.time_steps with dm.Inertia",
 }
-BLIND = (
-    "not tell whether a tangent is indefinite, and nothing was added to it: choose the default, "
-    "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
-)
 CORNERS = (
     "Newton's method need not converge, not even in small steps, where gaps are means over both "
     "flanks of an edge or a corner of the master: exchange slave and master, or refine the slave "
@@ -122,8 +118,6 @@ def explain(
     if 2 * shifted > count and (not inverted or is_loaded(problem)):
         seen += f"; the tangent was indefinite in {shifted} of {count} iterations"
         why += [UNSTABLE[is_loaded(problem)], describe_cells(problem)]
-    elif problem.solid.strain == "finite" and problem.linear.blind:
-        why.append(f"The factorisation {problem.linear.blind} does {BLIND}")
     if squeezed and "inside out" not in seen:
         seen += f"; where it ended, {squeezed}"
         why.append("Take smaller load steps, or compress it less")

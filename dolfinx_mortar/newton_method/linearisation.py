@@ -109,26 +109,20 @@ def find_balance(
             u.array[:] -= problem.committed.displacement
             now = _present_limits(problem, data.limits)
             limits = problem.system.slip_limits(u, now, data.partners, problem.committed.sliding)
-        friction = None if multipliers is None else _known_friction(problem, limits, multipliers)
-        if friction is not None:
-            r.array[:] += friction
+        friction = None
+        if limits is not None and multipliers is not None:
+            if any_rank(problem.comm, limits.shares.any())[0]:
+                forces = np.zeros((problem.n, problem.d))
+                forces[limits.nodes] = limits.known(multipliers)
+                friction = -problem.system.exert(forces).ravel()
+                r.array[:] += friction
         reduced = to_reduced(problem.system.transformation, r)
     equal, bounds = found.select(found.equal), found.select(~found.equal)
     if overlap > 0.0:
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
-    forces = elements, external
-    return Balance(r, reduced, supported, bounds, *forces, limits, from_committed, friction)
-
-
-def _known_friction(
-    problem: ContactProblem, limits: SlipLimits | None, multipliers: Floats
-) -> Floats | None:
-    if limits is None or not any_rank(problem.comm, limits.shares.any())[0]:
-        return None
-    forces = np.zeros((problem.n, problem.d))
-    forces[limits.nodes] = limits.known(multipliers)
-    return -problem.system.exert(forces).ravel()
+    at = r, reduced, supported, bounds, elements, external, limits
+    return Balance(*at, from_committed, friction)
 
 
 def _present_limits(
@@ -181,91 +175,88 @@ def linearise(
     shift: float = 0.0,
     pressure: Floats | None = None,
     linear: LinearSolver | None = None,
+    moving: tuple[Floats, Floats | None, Sequence[Partners | None]] | None = None,
 ) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
+
+    With moving surfaces K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); with
+    multigrid it is an operator, preconditioned by T^T K T.
 
     Args:
         tangent: assemble K anew; linear laws need it once.
         shift: multiple of the elastic stiffness added to an indefinite K.
         pressure: mean stresses of a linearisation.
         linear: default that of the problem.
+        moving: for the exact tangent lambda_j (owned nodes,), tangential tractions (owned nodes,
+            d), and the partners of each interface with friction.
     """
     T, linear = problem.system.transformation, linear or problem.linear
-    direct = linear.direct
+    direct, geometry, K = linear.direct, None, problem.K
+    if moving is not None:
+        multipliers, tangential, partners = moving
+        with problem.timings("mortar"):
+            moved = problem.vector(problem.owned_u - problem.committed.displacement)
+            at = problem.u, multipliers, tangential, (moved, partners)
+            geometry = problem.system.linearise_geometry(*at)
     spoilt = direct and T is None  # the elimination acts on K itself
-    if tangent or spoilt or not problem.K.isAssembled():
-        with problem.timings("assembly"):
+    with problem.timings("assembly"):
+        if tangent or spoilt or not K.isAssembled():
             first = balance.from_committed
-            problem.terms.assemble_tangent(problem.K, pressure, from_committed=first)
+            problem.terms.assemble_tangent(K, pressure, from_committed=first)
             if shift > 0.0:
-                problem.solid.forms.add_elastic(problem.K, shift)
-    change = None if T is None else T.change
-    formed = direct  # a factorisation needs the matrix
-    if direct and not problem.system.driven:
-        formed = interface_unknowns(problem.K, change, linear.options) is None
-    if formed and T is not None and not T.formed:
-        linear.clear()  # free the memory for the new product
+                problem.solid.forms.add_elastic(K, shift)
+        if geometry is not None:
+            geometry.forces += problem.terms.skews()
     with problem.timings("transform"):
-        parts = _form(problem, balance) if formed else _follow(problem, balance, change)
-        qp, diagonal = _bounded(problem, balance, *parts)
-    if direct and not formed:
-        qp = replace(qp, product=problem.operator)
-    return Linearisation(qp, balance, diagonal)
+        A, b, diagonal, product = _reduced(problem, balance, geometry, linear)
+        bounds = balance.bounds
+        lower, upper = problem.vector(), problem.vector()
+        lower.set(PETSc.NINFINITY)
+        upper.set(PETSc.INFINITY)
+        lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
+        upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
+    law = None
+    if (limits := balance.limits) is not None:
+        position = np.zeros(b.local_size, dtype=np.int32)
+        position[bounds.dofs] = np.arange(len(bounds.dofs))
+        law = Friction(position[limits.normal], limits.tangential, -limits.slip, *limits.left)
+    qp = BoundQP(
+        *(A, b, lower, upper, bounds.dofs, law),
+        definite=geometry is None,
+        product=product,
+        near=None if direct or geometry is None else problem.operator.matrix,
+        extent=find_extent(problem.V.mesh, problem.u.x.array),
+    )
+    return Linearisation(qp, balance, diagonal, geometry)
 
 
-def _bounded(
-    problem: ContactProblem, balance: Balance, A: PETSc.Mat, b: PETSc.Vec, diagonal: PETSc.Vec
-) -> tuple[BoundQP, PETSc.Vec]:
-    lower, upper = problem.vector(), problem.vector()
-    lower.set(PETSc.NINFINITY)
-    upper.set(PETSc.INFINITY)
-    bounds = balance.bounds
-    lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
-    upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
-    law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
-    extent = find_extent(problem.V.mesh, problem.u.x.array)
-    return BoundQP(A, b, lower, upper, bounds.dofs, law, extent=extent), diagonal
-
-
-def linearise_all(
+def _reduced(
     problem: ContactProblem,
     balance: Balance,
-    partners: Sequence[Partners | None],
-    multipliers: Floats,
-    tangential: Floats | None,
-    *,
-    tangent: bool = True,
-    pressure: Floats | None = None,
-    linear: LinearSolver | None = None,
-) -> Linearisation:
-    """Assemble the QP of the exact tangent; arguments as in `linearise`; collective.
-
-    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); with multigrid it is an
-    operator, preconditioned by T^T K T. Multipliers are lambda_j (owned nodes,), tangential
-    tractions (owned nodes, d); with friction `partners` of each interface.
-    """
-    linear = linear or problem.linear
-    with problem.timings("mortar"):
-        moved = problem.vector(problem.owned_u - problem.committed.displacement)
-        slips = moved, partners
-        found = problem.system.linearise_geometry(problem.u, multipliers, tangential, slips)
-    if tangent or not problem.K.isAssembled():
-        with problem.timings("assembly"):
-            problem.terms.assemble_tangent(problem.K, pressure)
-    with problem.timings("assembly"):
-        found = replace(found, forces=[*found.forces, *problem.terms.skews()])
-    with problem.timings("transform"):
-        T = problem.system.transformation
-        assert T is not None
-        near = None if linear.direct else problem.operator.matrix
-        if linear.direct:
-            parts = _eliminated(problem, balance, found.transform(problem.K, T))
-        else:
-            problem.operator.follow(T.change, balance.eliminated)
-            at = T, balance.eliminated, problem.operator.diagonal
-            parts = _lifted(problem, balance, found.follow(problem.K, *at))
-        qp, diagonal = _bounded(problem, balance, *parts)
-    return Linearisation(replace(qp, definite=False, near=near), balance, diagonal, found)
+    geometry: GeometryTangent | None,
+    linear: LinearSolver,
+) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec, CongruentOperator | None]:
+    """K^ and r^ after the elimination, its diagonal before, and K^ as an operator to factorise."""
+    T, K = problem.system.transformation, problem.K
+    held, operator = balance.eliminated, problem.operator
+    exact, direct = geometry is not None, linear.direct
+    change = None if T is None or (direct and exact) else T.change
+    formed = direct  # a factorisation needs the matrix
+    if direct and not exact and not problem.system.driven:
+        formed = interface_unknowns(K, change, linear.options) is None
+    if not formed:
+        operator.follow(change, held)
+    if geometry is not None and T is not None:
+        if direct:
+            return *_eliminated(problem, balance, geometry.transform(K, T)), None
+        at = geometry.follow(K, T, held, operator.diagonal)
+        return *_lifted(problem, balance, at), None
+    if not formed:
+        return *_lifted(problem, balance, operator), operator if direct else None
+    if T is not None and not T.formed:
+        linear.clear()  # free the memory for the new product
+    A = as_aij(K) if T is None else T.transform(K)
+    return *_eliminated(problem, balance, A), None
 
 
 def corrected(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
@@ -291,19 +282,6 @@ def corrected(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, fl
     return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), largest
 
 
-def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
-    position = np.zeros(n, dtype=np.int32)
-    position[bounds.dofs] = np.arange(len(bounds.dofs))
-    rest = -limits.slip
-    normal = position[limits.normal]
-    return Friction(normal, limits.tangential, rest, *limits.left)
-
-
-def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    T = problem.system.transformation
-    return _eliminated(problem, balance, as_aij(problem.K) if T is None else T.transform(problem.K))
-
-
 def _eliminated(
     problem: ContactProblem, balance: Balance, A: PETSc.Mat
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
@@ -317,15 +295,8 @@ def _eliminated(
     return A, b, diagonal
 
 
-def _follow(
-    problem: ContactProblem, balance: Balance, change: PETSc.Mat | None
-) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    problem.operator.follow(change, balance.eliminated)
-    return _lifted(problem, balance, problem.operator)
-
-
 def _lifted(
-    problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
+    problem: ContactProblem, balance: Balance, operator: OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
     """As `_eliminated`, for an operator."""
     dy, b = problem.vector(), balance.reduced.copy()

@@ -29,7 +29,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     Linearisation,
     corrected,
     linearise,
-    linearise_all,
     support_slots,
     to_displacement,
     to_reduced,
@@ -72,11 +71,11 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Solution:
-    """QP of an iteration and its solution."""
+    """QP of an iteration and its solution, in which driven tools balance their loads."""
 
     lin: Linearisation
     solved: QPSolution
-    driven: driven_tools.Settled | None = None
+    travel: Floats | None = None  # (m,) of tools
     shift: float = 0.0
     negative: bool = False
     rejected: str = ""  # why the exact tangent was rejected
@@ -128,7 +127,7 @@ class Subproblem:
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
         """Solve the QP at an iterate, at first with the exact tangent if `exact`; collective."""
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
-        rejected = ""
+        found, rejected = None, ""
         if exact:
             try:
                 found = self.exact(old, residuals, tangent)
@@ -136,19 +135,14 @@ class Subproblem:
                 rejected = f"without the exact tangent ({error})"
             else:
                 curvature = found.solved.x.dot(found.lin.qp.b - found.solved.z)  # x.A x
-                if not old.shift or curvature > 0.0:
-                    return self.drive(found, old)
-                rejected = "without the exact tangent, which is indefinite"
-        found = self.definite(old, residuals, tangent)
-        return replace(self.drive(found, old), rejected=rejected)
-
-    def drive(self, found: Solution, old: Iterate) -> Solution:
-        """Solution in which driven tools balance their loads."""
+                if old.shift and not curvature > 0.0:
+                    found, rejected = None, "without the exact tangent, which is indefinite"
+        if found is None:
+            found = replace(self.definite(old, residuals, tangent), rejected=rejected)
         if found.solved.travel is None:
             return found
-        given = found.lin.drives, found.lin, found.solved, old.scales.extent
-        driven = driven_tools.settle(*given)
-        return replace(found, lin=driven.lin, solved=driven.solved, driven=driven)
+        lin, travel = driven_tools.settle(found.lin, found.solved, old.scales.extent)
+        return replace(found, lin=lin, travel=travel)
 
     def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
@@ -182,16 +176,8 @@ class Subproblem:
         self, shift: float, old: Iterate, residuals: Sequence[Residuals], tangent: bool
     ) -> Solution:
         """Solve with a multiple of the elastic stiffness; collective."""
-        lin = linearise(
-            self.problem,
-            old.balance,
-            tangent=tangent,
-            shift=shift,
-            pressure=old.pressure,
-            linear=self.solver,
-        )
-        lin = self.with_scalars(lin, old)
-        solved = self.solve_qp(lin, old.start, old, self.accuracy(lin, residuals))
+        lin, rtol = self.program(old, residuals, tangent, shift=shift)
+        solved = self.solve_qp(lin, old.start, old, rtol)
         negative = False
         if self.finite:
             pivots = maximum(self.problem.comm, float(self.solver.negative_pivots()))[0]
@@ -200,50 +186,53 @@ class Subproblem:
 
     def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
         """Solve with the exact tangent and correct bounds; collective."""
-        lin = linearise_all(
-            self.problem,
-            old.balance,
-            self.data.partners,
-            old.contacts.multipliers,
-            old.contacts.tangential,
-            tangent=tangent,
-            pressure=old.pressure,
-            linear=self.solver,
-        )
-        lin = self.with_scalars(lin, old)
-        rtol = self.accuracy(lin, residuals)
+        lin, rtol = self.program(old, residuals, tangent, exact=True)
         solved = self.solve_qp(lin, old.start, old, rtol)
         lin, left = corrected(lin, solved)
         if left > DIGIT * residuals[-1].limit:
             last, guess = solved, None if self.solver.direct else solved.x
             solved = self.solve_qp(lin, solved.active, old, rtol, guess)
-            solved = replace(
-                solved,
-                updates=last.updates + solved.updates,
-                linear_iterations=last.linear_iterations + solved.linear_iterations,
-                factorisations=last.factorisations + solved.factorisations,
-            )
+            names = "updates", "linear_iterations", "factorisations"
+            sums = {name: getattr(last, name) + getattr(solved, name) for name in names}
+            solved = replace(solved, **sums)
         return Solution(lin, solved, negative=old.negative)
 
-    def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
-        """QP with the motions of driven tools as unknowns; collective."""
-        given = None if old.balance.friction is None else old.contacts.multipliers
-        known = None if given is None else old.balance.known(given)
+    def program(
+        self,
+        old: Iterate,
+        residuals: Sequence[Residuals],
+        tangent: bool,
+        *,
+        shift: float = 0.0,
+        exact: bool = False,
+    ) -> tuple[Linearisation, float]:
+        """QP, with the motions of driven tools as unknowns, and its tolerance; collective."""
+        contacts, scales = old.contacts, old.scales
+        moving = contacts.multipliers, contacts.tangential, self.data.partners
+        lin = linearise(
+            self.problem,
+            old.balance,
+            tangent=tangent,
+            shift=shift,
+            pressure=old.pressure,
+            linear=self.solver,
+            moving=moving if exact else None,
+        )
+        given = old.balance.friction is not None
+        known = old.balance.known(contacts.multipliers) if given else None
         drives = driven_tools.find_drives(self.problem, known)
-        if drives is None:
-            return lin
-        if self.problem.in_time:
-            drives.check_gaps(old.balance, old.contacts.active, old.scales.facet_length)
-        at = lin, DIGIT * self.rtol, old.scales.begun
-        scalars = driven_tools.as_scalars(drives, *at)
-        return replace(lin, qp=replace(lin.qp, scalars=scalars), drives=drives)
+        if drives is not None:
+            if self.problem.in_time:
+                drives.check_gaps(old.balance, contacts.active, scales.facet_length)
+            scalars = driven_tools.as_scalars(drives, lin, DIGIT * self.rtol, scales.begun)
+            lin = replace(lin, qp=replace(lin.qp, scalars=scalars), drives=drives)
+        return lin, self.accuracy(lin, residuals)
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
         """Relative tolerance of the next QP."""
-        if self.driven:  # loose QPs take four times the iterations
+        # loose QPs with tools take four times the iterations; a linear step is a single QP
+        if self.driven or (self.linear and not self.moving):
             return tightest(self.rtol)
-        if self.linear and not self.moving:
-            return tightest(self.rtol)  # single QP
         new = self.solver.direct and not (self.linear and residuals)
         kind = "direct" if new else "iterative"
         found = next_tolerance(kind, self.rtol, lin.qp.b.norm(), residuals)
@@ -280,7 +269,7 @@ class Subproblem:
                     rtol=rtol,
                 )
             except backends.NoResistance as error:
-                raise driven_tools.unresisted(lin.drives, lin, error.which) from error
+                raise driven_tools.unresisted(lin, error.which) from error
         if solved.travel is None:
             # exactly, also by an iterative solver
             equal = lin.balance.equal

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 r"""One HDF5 file of values at places, written by any number of ranks and read by any other.
 
-    dolfinx_mortar checkpoint, format 8, version 0.1
+    dolfinx_mortar checkpoint, format 9, version 0.1
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
@@ -44,7 +44,7 @@ from dolfinx_mortar.disk import (
 )
 from dolfinx_mortar.spaces import means_around
 
-FORMAT = 8  # raise this when the meaning of the content changes
+FORMAT = 9  # raise this when the meaning of the content changes
 HEAD = 512  # bytes: HDF5's smallest "user block"
 CHECKSUM = b"sha256 of what follows: "
 Values = Mapping[str, Mapping[str, Floats]]  # (n, c) by column by table

@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -19,7 +18,6 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import (
@@ -29,7 +27,7 @@ from dolfinx_mortar.algebra.parallel import (
     raise_together,
     raised_together,
 )
-from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, TINY, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
@@ -47,9 +45,8 @@ from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import LoadStep, Timings
-from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.supports.dirichlet import Dirichlet, check_axis, check_targets, create_dirichlet
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
@@ -81,8 +78,15 @@ class ContactProblem:
         ValueError: for invalid arguments, on all ranks.
 
     Attributes:
+        u, V: displacement and its space.
+        bcs, interfaces: Dirichlet conditions and interfaces as given.
+        contacts, ties: unilateral interfaces (`Contact`, `Obstacle`, or a user's subclass), others.
         committed: the state from which the next step starts, besides ``u`` and ``solid.state``:
             active sets, slips and ``level``.
+        history: steps of `load_steps`, including those before a restored checkpoint.
+        comm, d, n, first_dof: ranks, dimension, owned nodes, global number of the first owned dof.
+        X, fixed: coordinates (owned nodes, d), components (local nodes, d) with Dirichlet data.
+        owned_u, K: u (n d,) at owned dofs, a view, and the tangent with respect to it.
     """
 
     def __init__(
@@ -110,20 +114,34 @@ class ContactProblem:
                 side.check(solid.V, revolved, solid.strain)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
+        self.u, self.V, self.comm = solid.u, solid.V, solid.V.mesh.comm
+        nodes, self.d = self.V.dofmap.index_map, int(self.V.dofmap.index_map_bs)
+        self.n, self.first_dof = int(nodes.size_local), int(self.d * nodes.local_range[0])
+        self.X: Floats = self.V.tabulate_dof_coordinates()[: self.n, : self.d]
+        self.owned_u: Floats = self.u.x.array[: self.d * self.n]
+        # displacement at which normals and segments are taken, None for X
+        self.configuration = self.u if geometry == "updated" else None
         self.timings = Timings()
+        self.logged = set[str]()
+        self.told = list[list[str]]()  # notes on the last step, or on its failure
         kinematics = solid.kinematics
         self.terms = _create_terms(solid, loads, potential, terms)
-        self._given = {"bcs": conditions, "loads": loads, "potential": potential, "terms": terms}
+        self.in_time = any(isinstance(term, Inertia) for _, term in self.terms.named)
+        self.inputs = solid.given | {"bcs": conditions, "loads": loads, "potential": potential}
+        self.inputs |= {"terms": terms, "interfaces": sides}
         self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
+        self.fixed, self.bcs = self.supports.fixed, self.supports.bcs
         with self.timings("mortar"):
             at_points = None if kinematics.unweighted else kinematics.weights_at
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
                 interface.take(self.supports, self.V)
+        self.interfaces: list[Interface] = self.system.interfaces
+        self.contacts: list[Any] = [i for i in self.interfaces if i.unilateral]
+        self.ties: list[Any] = [i for i in self.interfaces if not i.unilateral]
         bodies = find_bodies(self.V, kinematics.rigid_motions)
-        self.bodies: Bodies = with_ties(bodies, self.system.tied)
-        can_open = self.system.can_open[: self.n]
-        self.terms.meet(can_open, self.bodies.label)
+        self.bodies: Bodies = with_ties(bodies, self.system.sides)
+        self.terms.meet(self.system.can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -132,108 +150,24 @@ class ContactProblem:
                 options=petsc_options,
                 multigrid=self.d == 3,
             )
-            K = self.terms.create_matrix(blocks=not self.linear.direct)
-            self.operator = CongruentOperator(K)
+            self.K = self.terms.create_matrix(blocks=not self.linear.direct)
+            self.operator = CongruentOperator(self.K)
             # the problem would keep its matrices alive
             self.linear.unknowns = UnknownsOfBodies(
                 self.operator, self.system, self.supports, replace(self.bodies, motions=motions)
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
+        self.history: list[LoadStep] = self.committed.history
+        parts = solid, self.interfaces, self.system, self.supports, geometry
+        self.state = ProblemState(*parts, self.committed, self.terms.named)  # for checkpoints
         self.outcome: StepOutcome | None = None
-
-    @property
-    def u(self) -> fem.Function:
-        """Displacement."""
-        return self.solid.u
-
-    @property
-    def owned_u(self) -> Floats:
-        """Displacement (n,) at the owned dofs, a view."""
-        return np.asarray(self.u.x.array[: self.d * self.n])
-
-    @property
-    def K(self) -> PETSc.Mat:
-        """Tangent with respect to u."""
-        return self.operator.K
-
-    @property
-    def V(self) -> fem.FunctionSpace:
-        """Space of the displacement."""
-        return self.solid.V
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """Communicator of the mesh."""
-        return self.V.mesh.comm
-
-    @property
-    def d(self) -> int:
-        """Dimension."""
-        return int(self.V.dofmap.index_map_bs)
-
-    @property
-    def n(self) -> int:
-        """Number of owned nodes."""
-        return int(self.V.dofmap.index_map.size_local)
-
-    @property
-    def first_dof(self) -> int:
-        """Global number of this rank's first dof."""
-        return int(self.d * self.V.dofmap.index_map.local_range[0])
-
-    @cached_property
-    def X(self) -> Floats:
-        """Reference coordinates (owned nodes, d)."""
-        return np.asarray(self.V.tabulate_dof_coordinates()[: self.n, : self.d])
-
-    @property
-    def fixed(self) -> Bools:
-        """Components (local nodes, d) with Dirichlet data."""
-        return self.supports.fixed
-
-    @property
-    def bcs(self) -> list[fem.DirichletBC]:
-        """Dirichlet conditions."""
-        return self.supports.bcs
-
-    @property
-    def interfaces(self) -> list[Interface]:
-        """Contacts and ties in the user's order."""
-        return self.system.interfaces
-
-    @property
-    def contacts(self) -> list[Any]:
-        """Unilateral interfaces: `Contact`, `Obstacle`, or a user's subclass."""
-        return self.system.contacts
-
-    @property
-    def ties(self) -> list[Any]:
-        """Other interfaces: `Tie`, `RigidSide`, or a user's subclass."""
-        return self.system.ties
-
-    @property
-    def configuration(self) -> fem.Function | None:
-        """Displacement at which normals and segments are taken, None for X."""
-        return self.u if self.geometry == "updated" else None
 
     def vector(self, values: Floats | None = None) -> PETSc.Vec:
         """New vector of owned dofs."""
         v = self.K.createVecRight()
         v.array[:] = 0.0 if values is None else values.ravel()
         return v
-
-    def check_ranks(self, **controls: Any) -> None:
-        """Raise a ValueError on all ranks if arguments differ; collective."""
-        check_same_on_all_ranks(self.comm, **controls, **self._inputs)
-
-    @property
-    def _inputs(self) -> dict[str, Any]:
-        return {**self.solid.given, **self._given, "interfaces": self.interfaces}
-
-    def constants(self) -> list[Any] | None:
-        """Constants that steps read; None if a user's terms may read others."""
-        return find_constants(self._inputs)
 
     def check_owned(self) -> None:
         """Raise a ValueError if a later problem uses an interface."""
@@ -260,15 +194,10 @@ class ContactProblem:
         audit = not self.committed.begun
         if audit:
             self._check_mesh()
-        partners = self._partners(data.target) if data.limits else [None]
         with self.timings("mortar"):
-            found = self.system.begin(self.configuration, self.committed.paired)
-            u = self.vector(self.owned_u)
-            data = replace(
-                data,
-                increment=max(data.increment, found.largest_slip(u)),
-                partners=self._completed(found, partners),
-            )
+            found, partners = self._pair(data.target)
+            increment = max(data.increment, found.largest_slip(self.vector(self.owned_u)))
+            data = replace(data, increment=increment, partners=partners)
         self._enter(found)
         self.raise_failed()
         if audit:
@@ -313,54 +242,39 @@ class ContactProblem:
         contacts = last.active, last.sliding
         return StepData(target, asked, largest, contacts, limits, flows=flows)
 
-    def _mean(self, asked: Floats) -> Floats:
-        mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
-        return np.asarray(mean * self.bodies.shifts).ravel()
-
     def _carried(self, asked: Floats, u: Floats) -> Floats:
-        mean = self._mean(asked)
-        if self.solid.strain == "small" or not self.bodies.shifts.all():
-            return mean
-        x = self.X + u.reshape(self.X.shape)
-        return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
+        """Rigid motion (n,) of the bodies from u with prescribed increments (owned nodes, d)."""
+        bodies, owned = self.bodies, self.supports.owned
+        motion = bodies.mean(asked, owned)[bodies.label] * bodies.shifts
+        if self.solid.strain == "finite" and bodies.shifts.all():
+            motion = motion + bodies.turned(asked, owned, self.X + u.reshape(self.X.shape))
+        return np.asarray(motion).ravel()
 
-    def _committed_positions(self) -> PETSc.Vec:
-        return self.vector(self.X.ravel() + self.committed.displacement)
+    def _pair(self, target: Floats) -> tuple[Configuration, list[Partners | None]]:
+        """Pair the surfaces at u; also slip partners at the last commit.
 
-    def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
-        """Slip partners at the last commit, at first also after the rigid motion."""
-        if not self.system.has_friction or self.geometry == "reference":
-            return [None]
-        began = self.committed.displacement
-        places = [began]
-        if not self.committed.begun:
-            moved = self._carried(self.supports.increment(target, began), began)
-            if any_rank(self.comm, moved.any())[0]:
-                places.append(began + moved)
-        found: list[Sequence[Partners | None] | None] = []
+        Those that are missing there are, in the first step, those after the rigid motion.
+        """
+        frozen, began = self.geometry == "reference", self.committed.displacement
+        start, paired = self.vector(self.X.ravel() + began), self.committed.paired
+        places = [began if self.system.has_friction and not frozen else self.owned_u]
+        if self.system.has_friction and not (frozen or self.committed.begun):
+            places.append(began + self._carried(self.supports.increment(target, began), began))
+        chosen = list[list[Partners | None] | None]()
+
+        def partners(at: Configuration) -> list[Partners | None]:
+            return [link.partners(start, frozen=frozen) for link in at.links]
+
         for place in places:
-            if not any_rank(self.comm, not np.array_equal(self.owned_u, place))[0]:
-                found.append(None)
-                continue
-            with self.timings("mortar"):
-                at = self.system.begin(with_values(self.V, place), self.committed.paired)
-                found.append(self._found_partners(at))
-        return found
-
-    def _completed(
-        self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
-    ) -> list[Partners | None]:
-        """Partners, missing ones from later choices."""
-        first, *others = (self._found_partners(here) if p is None else p for p in partners)
-        result = list(first)
+            here = not any_rank(self.comm, not np.array_equal(self.owned_u, place))[0]
+            at = None if here else self.system.begin(with_values(self.V, place), paired)
+            chosen.append(None if at is None else partners(at))
+        found = self.system.begin(self.configuration, paired)
+        result, *others = (p or partners(found) for p in chosen)
         for other in others:
-            pairs = zip(here.links, result, other, strict=True)
+            pairs = zip(found.links, result, other, strict=True)
             result = [a and b and a.completed(link, b) for link, a, b in pairs]
-        return result
-
-    def _found_partners(self, found: Configuration) -> list[Partners | None]:
-        frozen = self.geometry == "reference"
-        return found.partners(self._committed_positions(), frozen=frozen)
+        return found, result
 
     def audit(self) -> Audit:
         """Geometry audit at the present displacement; collective.
@@ -390,20 +304,11 @@ class ContactProblem:
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
 
-    @cached_property
-    def _logged(self) -> set[str]:
-        return set()
-
     def is_new(self, warning: str) -> bool:
         """Mark a warning as logged; whether it is new."""
-        new = warning not in self._logged
-        self._logged.add(warning)
+        new = warning not in self.logged
+        self.logged.add(warning)
         return new
-
-    @cached_property
-    def told(self) -> list[list[str]]:
-        """Notes on the last step, or on its failure."""
-        return []
 
     def diagnose(self) -> list[str]:
         """Notes on the last step, or on its failure, with remedies."""
@@ -418,7 +323,7 @@ class ContactProblem:
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
         """Return v -> forces of the terms under v, over the largest entry of each row of K."""
-        if not self.terms.have_tangent:
+        if not self.terms.stiff:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
         springs = self.terms.stiffness()
@@ -489,16 +394,9 @@ class ContactProblem:
 
         Quasi-static steps keep the present u as initial guess.
         """
-        if (outcome := self._uncommitted_in_time()) is not None and outcome.before is not None:
+        outcome = self.ended_here() if self.in_time else None
+        if outcome is not None and outcome.before is not None:
             self.undo(outcome.before)
-
-    @property
-    def in_time(self) -> bool:
-        """Whether the terms contain inertia."""
-        return any(isinstance(term, Inertia) for _, term in self.terms.named)
-
-    def _uncommitted_in_time(self) -> StepOutcome | None:
-        return self.ended_here() if self.in_time else None
 
     def ends_of_interfaces(self) -> list[Any]:
         """States that a commit changes; collective."""
@@ -514,20 +412,9 @@ class ContactProblem:
         return None if any_rank(self.comm, elsewhere)[0] else self.outcome
 
     @property
-    def state(self) -> ProblemState:
-        """State for checkpoints."""
-        parts = self.solid, self.interfaces, self.system, self.supports
-        return ProblemState(*parts, self.geometry, self.committed, self.terms.named)
-
-    @property
-    def history(self) -> list[LoadStep]:
-        """Steps of `load_steps`, including those before a restored checkpoint."""
-        return self.committed.history
-
-    @property
     def steps_done(self) -> tuple[int, int]:
         """Numbers of load steps, all and restored from a checkpoint."""
-        return len(self.committed.history), self.committed.brought
+        return len(self.history), self.committed.brought
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore` on any number of ranks; collective.

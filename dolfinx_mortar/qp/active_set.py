@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import from_callbacks
-from dolfinx_mortar.arrays import EPS, LIMIT, Floats
+from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,
@@ -25,10 +25,8 @@ from dolfinx_mortar.qp.bound_qp import (
 from dolfinx_mortar.qp.condensed import Condensed
 from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, Solver, State, update
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
+from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
 
-# Friction limits by the pressure of this solution, or of the previous one
-EXACT, GIVEN = "exact linearisation", "given limits"
 FEW = (
     "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
     "refine the mesh there, take smaller steps, or prescribe displacements instead of loads"
@@ -41,7 +39,6 @@ class _Found:
     q: Floats  # (m,)
     state: State
     updates: int
-    how: str  # linearisation of friction
     resistance: Floats | None  # (m, m) of q
 
 
@@ -77,7 +74,6 @@ def solve(
     return QPSolution(
         *(x, z, active, kkt, found.updates, 0, 0, "active-set"),
         sliding=directions,
-        linearisation="" if law is None else found.how,
         travel=None if qp.scalars is None else found.q,
         resistance=found.resistance,
     )
@@ -112,7 +108,7 @@ def _find_condensed(
 def _find(
     qp: BoundQP, linear: Solver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> _Found:
-    """Solve by states; QPNotSolved if no method converges, NoResistance if a scalar is free."""
+    """Solve by states; QPNotSolved if updates do not end, NoResistance if a scalar is free."""
     border = None if qp.scalars is None else Bordered(qp, linear)
     at: tuple[BoundQP, Solver] = qp, linear
     most = np.inf
@@ -124,55 +120,26 @@ def _find(
         x.array[: guess.local_size] = guess.array_r
     while True:
         problem = HeldProblem(*at, x, rtol, most)
-        outcome, how = _solve_law(problem, state)
-        state, ended = outcome.state, (outcome.state, outcome.updates, how)
+        outcome = _update(problem, state, TIGHT if problem.linear.exact else LOOSE)
+        if outcome.reason:
+            law = problem.qp.friction
+            kind = "" if law is None or not law.normal.size else " with friction"
+            raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}")
+        state, ended = outcome.state, (outcome.state, outcome.updates)
         if border is None:
             return _Found(x.array_r, np.zeros(0), *ended, None)
         values, q = border.at(x.array_r)
-        if not border.rho.any() or border.is_met(q):
+        left = np.abs(border.rho * (q - border.centre))
+        # round-off of e.z, and what is missing
+        if not border.rho.any() or (left <= 2.0 * border.least).all():
             return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
-        left = border.force_of_term(q)
+        left /= np.sqrt(border.weights)
         if not left.max() <= 0.5 * before:  # the load moves its tool until contact, or for ever
             border.share /= 16.0
         if border.share < EPS:
             raise NoResistance(left)
         before = left.max()
         border.hold(None)
-
-
-def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
-    """Solve by consistent linearisation, else by given friction limits; else QPNotSolved."""
-    outcome = _update(problem, start, TIGHT if problem.linear.exact else LOOSE)
-    if not outcome.reason:
-        return outcome, EXACT
-    law, found, cause = problem.qp.friction, None, None
-    try:
-        found = None if law is None else _solve_given(problem, problem.best or start)
-    except LinearSolveFailed as error:
-        cause = error
-    if found is not None:
-        return found, GIVEN
-    kind = "" if law is None or not law.normal.size else " with friction"
-    raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}") from cause
-
-
-def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
-    """Iterate over the friction limits; None if they do not converge."""
-    qp, law = problem.qp, problem.qp.friction or no_friction()
-    problem.solve(state, TIGHT)
-    for _ in range(LIMIT):
-        pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
-        limits = law.limit(pressing[law.normal])
-        given = replace(law, coefficient=0.0 * limits, cohesion=limits)
-        at = problem.linear, problem.x, problem.rtol, problem.most
-        problem = HeldProblem(replace(qp, friction=given), *at)
-        found = _update(problem, state, TIGHT)
-        if found.reason:
-            return None
-        state = found.state
-        if check(qp, problem.x, problem.z).satisfied(problem.rtol):
-            return found
-    return None
 
 
 def _update(problem: HeldProblem, start: State, level: int) -> Outcome:

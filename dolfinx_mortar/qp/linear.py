@@ -20,7 +20,6 @@ from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,
     count_negative,
-    counts_pivots,
     meets_negative_curvature,
     negative_pivots,
 )
@@ -54,19 +53,9 @@ class MatrixSetup:
     operator: Operator
     ksp: PETSc.KSP
     sliding_ksp: PETSc.KSP  # of matrices that friction makes unsymmetric
-    preconditioner: Preconditioner
+    preconditioner: Preconditioner  # perhaps that of a definite matrix nearby
     renewal: Renewal
     max_iterations: int
-    dx: PETSc.Vec  # (n,) the last correction
-    shared: bool = False  # whether the preconditioner is that of a definite matrix
-
-    def destroy(self) -> None:
-        """Free the matrices and the factorisation; collective."""
-        if not self.shared:
-            self.preconditioner.clear()
-        self.ksp.destroy()
-        self.sliding_ksp.destroy()
-        self.operator.destroy()
 
 
 class LinearSolver:
@@ -122,12 +111,6 @@ class LinearSolver:
     def direct(self) -> bool:
         """Whether the preconditioner is a factorisation."""
         return self.options.direct
-
-    @property
-    def blind(self) -> str:
-        """Name of a factorisation that counts no negative pivots, else ""."""
-        kind, by = (self.options.of_definite(k) for k in ("pc_type", "pc_factor_mat_solver_type"))
-        return "" if not self.direct or (kind, by) == ("cholesky", "mumps") else f"{kind!r} ({by})"
 
     def factorising(self) -> LinearSolver | None:
         """A solver that factorises instead, after freeing this one's matrices; collective.
@@ -191,20 +174,17 @@ class LinearSolver:
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
             schur = None if apart is None else SchurComplement(apart, product)
-            copied = self.direct and schur is None
-            operator = Operator(A, direct=copied, definite=definite)
+            operator = Operator(A, copied=self.direct and schur is None, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
         if ksp.getType() == "gmres":
             ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residuals are the true ones
         elif ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
-        ksp.setOperators(operator.matrix)
+        ksp.setOperators(operator.matrix, operator.factorised)
+        renewal = Renewal(RENEWAL_COST["direct" if self.direct else "iterative"], self.direct)
         sliding = self._iteration(operator, ksp.getPC())
-        after = RENEWAL_COST["direct" if self.direct else "iterative"]
-        renewal = Renewal(after, direct=self.direct)
-        limit, dx = ksp.getTolerances()[3], A.createVecRight()
-        parts = operator, ksp, sliding, preconditioner, renewal, limit, dx
-        self._setups[definite] = MatrixSetup(*parts)
+        limit = ksp.getTolerances()[3]
+        self._setups[definite] = MatrixSetup(operator, ksp, sliding, preconditioner, renewal, limit)
         self._describe()
         self.counts.symbolic += 1
 
@@ -216,11 +196,11 @@ class LinearSolver:
             if beside.preconditioner is base.preconditioner:
                 return
         self._drop(False)
-        operator = Operator(A, direct=False, definite=False)
+        operator = Operator(A, copied=False, definite=False)
         ksp = self._iteration(operator, base.ksp.getPC())
         renewal = Renewal(base.renewal.after, direct=False)
         parts = operator, ksp, ksp, base.preconditioner, renewal, base.max_iterations
-        self._setups[False] = MatrixSetup(*parts, A.createVecRight(), shared=True)
+        self._setups[False] = MatrixSetup(*parts)
 
     def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
         ksp = PETSc.KSP().create(self._comm)
@@ -228,7 +208,7 @@ class LinearSolver:
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
         ksp.setPC(PETSc.PC().createPython(Applied(pc), comm=self._comm))
         ksp.setConvergenceHistory(reset=True)
-        ksp.setOperators(operator.sliding_matrix)
+        ksp.setOperators(operator.matrix)
         return ksp
 
     def _describe(self) -> None:
@@ -245,11 +225,17 @@ class LinearSolver:
         self._setups = {}
 
     def _drop(self, kind: bool) -> None:
-        beside = self._setups.get(False)
-        if kind and beside is not None and beside.shared:
+        setup, other = self._setups.pop(kind, None), self._setups.get(not kind)
+        if setup is None:
+            return
+        if other is None or other.preconditioner is not setup.preconditioner:
+            setup.preconditioner.clear()
+        elif kind:  # the other one is nothing without it
             self._drop(False)
-        if kind in self._setups:
-            self._setups.pop(kind).destroy()
+            setup.preconditioner.clear()
+        setup.ksp.destroy()
+        setup.sliding_ksp.destroy()
+        setup.operator.clear()
 
     def forget(self, *, keep_definite: bool = False) -> None:
         """Renew the factorisations at the next solves, except that of a definite A if asked."""
@@ -261,11 +247,12 @@ class LinearSolver:
         """Negative pivots of the last factorisation (or coarsest level), or 0; collective."""
         if self._setup is None or self._setup.preconditioner.held is None:
             return 0
-        multigrid = self._setup.preconditioner.multigrid
+        multigrid, operator = self._setup.preconditioner.multigrid, self._operator
         if multigrid is None:
-            return negative_pivots(self._setup.preconditioner.pc) + self.beyond
-        if multigrid.negative and self._operator.held is not None:
-            self.factorise(self._operator.held)  # an old one is of another matrix
+            found = negative_pivots(self._setup.preconditioner.pc)
+            return self.beyond + (count_negative(operator.factorised) if found is None else found)
+        if multigrid.negative:
+            self.factorise(operator.held)  # an old one is of another matrix
         return multigrid.negative
 
     @property
@@ -303,28 +290,20 @@ class LinearSolver:
 
     def is_indefinite(self) -> bool:
         """Whether the free part of the present matrix, assumed definite, is not; collective."""
-        held = None if self._setup is None else self._operator.held
-        if not self._kind or held is None:
+        if not self._kind or self._setup is None:
             return False
-        setup = self.setup
-        if not self.direct:
-            if setup.preconditioner.held is None:  # no system with it had to be solved
-                self.factorise(held)
-            if self.negative_pivots() > 0:
-                return True
-            setup.preconditioner.follow(held)
-            return meets_negative_curvature(setup.operator, setup.ksp.getPC(), setup.max_iterations)
-        self.factorise(held)
-        if counts_pivots(setup.preconditioner.pc):
-            return negative_pivots(setup.preconditioner.pc) + self.beyond > 0
-        return count_negative(setup.operator.matrix) > 0
+        setup, operator = self.setup, self._operator
+        if self.direct or setup.preconditioner.held is None:  # no system had to be solved
+            self.factorise(operator.held)
+        if self.negative_pivots() > 0 or self.direct:
+            return self.negative_pivots() > 0
+        setup.preconditioner.follow(operator.held)
+        return meets_negative_curvature(operator, setup.ksp.getPC(), setup.max_iterations)
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once."""
         begin = perf_counter()
-        held = self._operator.held
-        assert held is not None
-        self.setup.preconditioner.follow(held)
+        self.setup.preconditioner.follow(self._operator.held)
         self.setup.ksp.getPC().apply(r, x)
         self.counts.iterations += 1
         self.counts.seconds_solve += perf_counter() - begin
@@ -357,7 +336,7 @@ class LinearSolver:
                 be singular.
         """
         operator = self._operator
-        operator.free.sliding = sliding
+        operator.sliding = sliding
         operator.hold(held)
         before = self.counts.iterations
         self.counts.solves += 1
@@ -369,25 +348,33 @@ class LinearSolver:
 
     def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
         """Correct x until its residual is small or stagnates; return its norm."""
+        setup, ksp, dx = self.setup, self._ksp, x.duplicate()
+        preconditioner, operator, renewal = setup.preconditioner, setup.operator, setup.renewal
         for _ in range(LIMIT):
-            different = self.setup.preconditioner.differences(held)
-            if different is None or self.setup.renewal.is_far(different):
+            different = preconditioner.differences(held)
+            if different is None or renewal.is_far(different):
                 self.factorise(held)
-            fresh = self.setup.preconditioner.is_of(held)
-            before = norm
-            self._sweep(b, x, atol, norm)
-            dx = self.setup.dx
+            fresh, before, begin = preconditioner.is_of(held), norm, perf_counter()
+            preconditioner.follow(held)
+            floor, limit = operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
+            if self.direct and not fresh:
+                limit = min(limit, 2 * renewal.after)
+            reduction = max(EPS, max(atol, floor) / norm)
+            ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
+            ksp.solve(operator.r, dx)
+            self.counts.iterations += max(1, ksp.getIterationNumber())
+            renewal.learn(ksp.getConvergenceHistory(), stale=not fresh)
+            self.counts.seconds_solve += perf_counter() - begin
             dx.array[held] = 0.0  # an old factorisation may change them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
-                norm = self._operator.residual(b, x, held).norm()
-            if norm <= max(atol, self._operator.round_off(x)):
+                norm = operator.residual(b, x, held).norm()
+            if norm <= max(atol, operator.round_off(x)):
                 break
-            exhausted = self._ksp.getIterationNumber() >= self.setup.max_iterations
-            if fresh and (exhausted or not norm < before):
+            if fresh and (ksp.getIterationNumber() >= setup.max_iterations or not norm < before):
                 break
             if not fresh:
-                diverged = self._ksp.getConvergedReason() < 0  # an old set-up may be indefinite
+                diverged = ksp.getConvergedReason() < 0  # an old set-up may be indefinite
                 if not self.direct and (diverged or not norm < before):
                     self.counts.breakdowns += 1
                     if self._comm.rank == 0:
@@ -397,24 +384,8 @@ class LinearSolver:
 
     @property
     def _ksp(self) -> PETSc.KSP:
-        sliding = self._operator.free.sliding is not None
+        sliding = self._operator.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
-
-    def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, atol: float, norm: float) -> None:
-        begin = perf_counter()
-        setup, held = self.setup, self._operator.held
-        assert held is not None
-        setup.preconditioner.follow(held)
-        stale = not setup.preconditioner.is_of(held)
-        floor, limit = self._operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
-        if stale and self.direct:
-            limit = min(limit, 2 * setup.renewal.after)
-        ksp, reduction = self._ksp, max(EPS, max(atol, floor) / norm)
-        ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
-        ksp.solve(setup.operator.r, setup.dx)
-        self.counts.iterations += max(1, ksp.getIterationNumber())
-        setup.renewal.learn(ksp.getConvergenceHistory(), stale=stale)
-        self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(
         self, b: PETSc.Vec, x: PETSc.Vec, norms: tuple[float, float, float], iterations: int

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.congruence import decouple
+from dolfinx_mortar.algebra.congruence import ContextOf, decouple
 from dolfinx_mortar.arrays import ROUND_OFF, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
@@ -19,17 +19,51 @@ from dolfinx_mortar.qp.bound_qp import Sliding
 RESOLVED = 0.01
 
 
-class FreePart:
-    """Context of a PETSc Mat of type python: A on free unknowns, without a copy.
+class Operator:
+    """A with fixed unknowns.
 
-    For vectors that vanish at fixed unknowns. With slipping nodes it is the derivative of
-    `Operator.r`.
+    A factorisation takes a copy of A with zeroed rows and columns, on the same pattern; an
+    iteration applies A, to vectors that vanish at fixed unknowns.
+
+    Attributes:
+        matrix: A on free unknowns, without a copy: with slipping nodes the derivative of r.
+        factorised: without slipping nodes, A itself or the copy.
+        held: owned local indices of fixed unknowns, ascending.
+        sliding: law of slipping nodes, or None.
+        z: b - A x of the last residual.
+        r: the same, 0 at fixed unknowns, and the error in the law at slipping nodes.
     """
 
-    def __init__(self, A: PETSc.Mat) -> None:
-        self.A = A
+    def __init__(self, A: PETSc.Mat, *, copied: bool, definite: bool) -> None:
+        self.A, self.definite, self.copied = A, definite, copied
         self.held: Ints = np.empty(0, dtype=np.int32)
         self.sliding: Sliding | None = None
+        self.z, self.r = A.createVecRight(), A.createVecRight()
+        self._diagonal = A.getDiagonal()
+        self._state = -1  # of A at the last hold
+        self.matrix = PETSc.Mat().createPython(A.getSizes(), ContextOf(self), A.comm)
+        self.factorised = A.duplicate(copy=True) if copied else A
+        if copied:
+            self.factorised.setOption(PETSc.Mat.Option.SPD, definite)
+            self.factorised.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+
+    @property
+    def state(self) -> int:
+        """Changes with the values of A."""
+        return int(self.A.stateGet())
+
+    def hold(self, held: Ints) -> None:
+        """Fix these unknowns of the present A (collective)."""
+        same = self._state == self.state and np.array_equal(self.held, held)
+        if self.A.comm.tompi4py().allreduce(same, op=MPI.LAND):
+            return
+        self.A.getDiagonal(self._diagonal)
+        if self.copied:
+            self.A.copy(self.factorised, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            decouple(self.factorised, held, self._diagonal.sum() / self._diagonal.getSize())
+        self.held, self._state = held.copy(), self.state
+
+    # called by PETSc
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y, zero at fixed unknowns."""
@@ -43,56 +77,6 @@ class FreePart:
         self.A.multTranspose(x, y)
         y.array[self.held] = 0.0
 
-
-class Operator:
-    """A with fixed unknowns.
-
-    A factorisation takes a copy of A with zeroed rows and columns, on the same pattern; an
-    iteration applies A.
-
-    Attributes:
-        free: A on free unknowns, with the law of slipping nodes.
-        matrix: without slipping nodes.
-        factorised: the same as a matrix.
-        sliding_matrix: with the law in the rows of slipping nodes.
-        held: owned local indices of fixed unknowns, ascending; None at first.
-        z: b - A x of the last residual.
-        r: the same, 0 at fixed unknowns, and the error in the law at slipping nodes.
-    """
-
-    def __init__(self, A: PETSc.Mat, *, direct: bool, definite: bool) -> None:
-        self.A, self.definite = A, definite
-        self.held: Ints | None = None
-        self.z, self.r = A.createVecRight(), A.createVecRight()
-        self._diagonal = A.getDiagonal()
-        self._state = -1  # of A at the last hold
-        self.free = FreePart(A)
-        self.sliding_matrix = PETSc.Mat().createPython(A.getSizes(), self.free, A.comm)
-        self.matrix = A.duplicate(copy=True) if direct else self.sliding_matrix
-        self.factorised = self.matrix if direct else A
-        if direct:
-            self.matrix.setOption(PETSc.Mat.Option.SPD, definite)
-            self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-
-    @property
-    def state(self) -> int:
-        """Changes with the values of A."""
-        return int(self.A.stateGet())
-
-    def hold(self, held: Ints) -> None:
-        """Fix these unknowns of the present A (collective)."""
-        same = self.held is not None and np.array_equal(self.held, held)
-        comm = self.A.comm.tompi4py()
-        if self._state == self.state and comm.allreduce(same, op=MPI.LAND):
-            return
-        self.A.getDiagonal(self._diagonal)
-        if self.matrix is not self.sliding_matrix:
-            self.A.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-            mean = self._diagonal.sum() / self._diagonal.getSize()
-            decouple(self.matrix, held, mean)
-        self.free.held = held
-        self.held, self._state = held.copy(), self.state
-
     def residual(
         self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, z: PETSc.Vec | None = None
     ) -> PETSc.Vec:
@@ -103,7 +87,7 @@ class Operator:
         else:
             z.copy(self.z)
         self.z.copy(self.r)
-        if (sliding := self.free.sliding) is not None:
+        if (sliding := self.sliding) is not None:
             values, law = self.z.array_r, sliding.law
             law.put(self.r.array, law.pick(values) - sliding.reaction(x.array_r, values))
         self.r.array[held] = 0.0
@@ -115,20 +99,18 @@ class Operator:
         scaled.pointwiseMult(self._diagonal, x)
         return float(ROUND_OFF * scaled.norm())
 
-    def destroy(self) -> None:
+    def clear(self) -> None:
         """Free the matrices."""
-        self.sliding_matrix.destroy()
         self.matrix.destroy()
+        if self.copied:
+            self.factorised.destroy()
 
 
-def counts_pivots(pc: PETSc.PC) -> bool:
-    """Whether this factorisation counts negative pivots."""
-    return bool(pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps")
-
-
-def negative_pivots(pc: PETSc.PC) -> int:
-    """Negative pivots of a factorisation by MUMPS, INFOG(12), or 0."""
-    return int(pc.getFactorMatrix().getMumpsInfog(12)) if counts_pivots(pc) else 0
+def negative_pivots(pc: PETSc.PC) -> int | None:
+    """Negative pivots of a Cholesky factorisation by MUMPS, INFOG(12), else None."""
+    if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
+        return None
+    return int(pc.getFactorMatrix().getMumpsInfog(12))
 
 
 def count_negative(A: PETSc.Mat) -> int:
@@ -139,7 +121,7 @@ def count_negative(A: PETSc.Mat) -> int:
         pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
         pc.setOperators(A)
         pc.setUp()
-        found = 1 if pc.getFailedReason() else negative_pivots(pc)
+        found = 1 if pc.getFailedReason() else negative_pivots(pc) or 0
         return int(A.comm.tompi4py().allreduce(found, op=MPI.MAX))
     finally:
         pc.destroy()
@@ -150,8 +132,8 @@ def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> b
     comm = operator.A.comm.tompi4py()
     x, b = operator.A.createVecs()
     b.array[:] = np.random.default_rng(comm.rank).standard_normal(b.local_size)
-    b.array[operator.free.held] = 0.0
-    free = comm.allreduce(b.local_size - len(operator.free.held), op=MPI.SUM)
+    b.array[operator.held] = 0.0
+    free = comm.allreduce(b.local_size - len(operator.held), op=MPI.SUM)
     ksp = PETSc.KSP().create(operator.A.comm)
     try:
         ksp.setType(PETSc.KSP.Type.CG)

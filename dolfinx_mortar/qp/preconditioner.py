@@ -50,7 +50,7 @@ class Renewal:
     With a factorisation one solve decides, with multigrid the sum of all.
     """
 
-    def __init__(self, after: int, *, direct: bool) -> None:
+    def __init__(self, after: int, direct: bool) -> None:
         self.after, self.direct = after, direct
         self.fresh_rate = 0.0  # log reduction per iteration when new
         self.excess = 0.0  # iterations above those of a new one

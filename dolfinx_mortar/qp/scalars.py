@@ -72,11 +72,13 @@ class Bordered:
         share: of the proximal term in the stiffness of nodes.
         rho: (m,) of the term, zero where a state resists.
         centre: (m,) its q_0.
+        least: (m,) forces that count as zero in the last solve.
     """
 
     def __init__(self, inner: BoundQP, linear: Solver) -> None:
         self.inner, self.linear = inner, linear
         self.rho, self.centre = np.zeros((2, len(self.scalars.loads)))
+        self.least = self.scalars.noise
         self.share = QUARTER_OF_DIGITS
         self.weights = self.scalars.sizes(inner)
         if not self.weights.all():
@@ -175,9 +177,8 @@ class Bordered:
             law = None if sliding is None else _shifted(sliding, q @ E, 1.0)
             found = self.linear.solve(right, y, held, atol=atol, sliding=law).array_r.copy()
             missing, size = self._missing(y.array_r, found, q)
-            least = np.maximum(self.scalars.noise, ROUND_OFF * size)
-            least = np.maximum(atol, least)
-            worst = float((np.abs(missing) / np.maximum(least, TINY)).max())
+            self.least = np.maximum.reduce([self.scalars.noise, ROUND_OFF * size, 0.0 * q + atol])
+            worst = float((np.abs(missing) / np.maximum(self.least, TINY)).max())
             if worst <= 1.0 or not worst < before:
                 break
             before = worst
@@ -248,14 +249,6 @@ class Bordered:
         self.rho = 0.0 * self.rho if q is None else self.proximal()
         self.centre = 0.0 * self.rho if q is None else q.copy()
         self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
-
-    def is_met(self, q: Floats) -> bool:
-        """Whether the proximal term is below the tolerance."""
-        return bool((np.abs(self.rho * (q - self.centre)) <= self.scalars.noise).all())
-
-    def force_of_term(self, q: Floats) -> Floats:
-        """Forces of the proximal term (m,) over the weights."""
-        return np.asarray(np.abs(self.rho * (q - self.centre)) / np.sqrt(self.weights))
 
 
 def no_friction() -> Friction:

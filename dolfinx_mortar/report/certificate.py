@@ -2,14 +2,15 @@
 """Certificate of a converged step, and results of interfaces."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
-from dolfinx_mortar.arrays import SAME, Floats
-from dolfinx_mortar.geometry.facets import unit
+from dolfinx_mortar.algebra.parallel import maximum, ratio
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
@@ -19,7 +20,6 @@ from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
-from dolfinx_mortar.report.resolution import find_patches
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
 from dolfinx_mortar.step_report import Certificate, StepReport
 
@@ -51,8 +51,7 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
 def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -> float:
     """Largest tension of the contacts over their largest compression; collective.
 
-    Of D_jj lambda_j, lambda_j int Phi_j, and resultants of connected patches along the mean normal,
-    unless they bend by 90 degrees. Forces up to ``least`` are residual.
+    Of D_jj lambda_j and lambda_j int Phi_j. Forces up to ``least`` are residual.
     """
     found = [0.0]
     for link in problem.system.unilateral:
@@ -61,49 +60,45 @@ def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -
         z[np.abs(z) <= least] = 0.0
         shared_out = np.bincount(p.row[: p.split], coupling.P[: p.split, 0], minlength=len(z))
         forces = np.stack([z, z * (1.0 - shared_out)])
-        pull, push = maximum(
-            problem.comm, -forces.min(initial=0.0), np.abs(forces).max(initial=0.0)
-        )
-        found += [ratio(pull, push), _pull_of_patches(link, z[:, None] * coupling.normals)]
+        pull, push = _largest(problem.comm, -forces, np.abs(forces))
+        found.append(ratio(pull, push))
     return max(found)
 
 
-def _pull_of_patches(link: Link, forces: Floats) -> float:
-    d, n = forces.shape[1], link.coupling.normals
-    area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
-    size = np.linalg.norm(exerted, axis=1)
-    off = np.linalg.norm(exerted - size[:, None] * n, axis=1) > SAME * size
-    if not any_rank(link.sides.V.mesh.comm, off.any())[0]:
-        return 0.0
-    patches = find_patches(link, np.asarray(exerted.any(axis=1)), exerted, area)
-    whole = sum(float(np.linalg.norm(patch[:, :d], axis=1).sum()) for patch in patches)
-    pulls = [0.0]
-    for patch in patches:
-        mean = unit(patch[:, d:].sum(axis=0)[None])[0]
-        if (patch[:, d:] @ mean >= 0.0).all():
-            pulls.append(-float(patch[:, :d].sum(axis=0) @ mean))
-    return ratio(max(pulls), whole)
+@dataclass(frozen=True)
+class StepEnd:
+    """End of a step, and what is found in it; collective."""
+
+    problem: ContactProblem
+    report: StepReport
+    balance: Balance
+    contacts: Contacts
+    residual: Residuals  # in the final geometry
+    stiffness: Floats  # (n,) owned diagonal of the last condensed stiffness
+    overlap: float = 0.0  # that remains from the start
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """Errors of the small strain."""
+        return find_left_out(self.problem)
+
+    @cached_property
+    def overlaps(self) -> Mapping[int, Overlap]:
+        """Deepest overlaps of sides, and of uncoupled boundaries (-1)."""
+        return find_overlaps(self.problem)
+
+    @cached_property
+    def pull(self) -> float:
+        """Tension of contacts."""
+        return find_pull(self.problem, self.contacts, self.residual.limit)
 
 
 def create_certificate(
-    problem: ContactProblem,
-    report: StepReport,
-    contacts: Contacts,
-    residual: Residuals,
-    balances: tuple[float, float],
-    sliders: Sliders | None = None,
-    left_out: LeftOut | None = None,
-    overlaps: Mapping[int, Overlap] | None = None,
-    pull: float | None = None,
+    end: StepEnd, balances: tuple[float, float], sliders: Sliders | None = None
 ) -> Certificate:
-    """Certificate of the present state with its results; collective.
-
-    `residual` is that of the final geometry, `balances` are from `set_results`; the next ones are
-    computed if None.
-    """
-    left_out = left_out or find_left_out(problem)
-    crossing = (find_overlaps(problem) if overlaps is None else overlaps).get(-1)
-    pull = find_pull(problem, contacts) if pull is None else pull
+    """Certificate of a step with its results and balances, see `set_results`; collective."""
+    problem, report, contacts = end.problem, end.report, end.contacts
+    left_out, residual, crossing = end.left_out, end.residual, end.overlaps.get(-1)
     links, length = problem.system.links, problem.system.facet_length
     nodal, nothing = nodal_gaps(links, problem.positions(), problem.n), np.zeros((2, 0))
     on = [(link, link.coupling.directions[:, 0]) for link in problem.system.unilateral]
@@ -125,7 +120,7 @@ def create_certificate(
     return Certificate(
         equilibrium=residual.forces,
         gap=ratio(deepest, length),
-        sign=max(ratio(tensile, pressure), pull),
+        sign=max(ratio(tensile, pressure), end.pull),
         complementarity=ratio(product, pressure * length),
         force_balance=balances[0],
         moment_balance=balances[1],

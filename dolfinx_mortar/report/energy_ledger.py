@@ -21,7 +21,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
-from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
+from dolfinx_mortar.terms.inertia import FORCES, Damping, Inertia
 
 # Smallest defect with a note: on impacts of a rod with a wall and a bar, velocities are wrong by
 # 0.4 to 0.7 of the defect.
@@ -33,16 +33,15 @@ MASS = (
 
 
 @dataclass(frozen=True)
-class Ends:
-    """Forces at one end of a step, (owned nodes, d) each."""
+class Impulse:
+    """An impulse of the contact forces after a step."""
 
-    u: Floats
-    contact: Floats
-    friction: Floats
-    supports: Floats
-    loads: Floats
-    damping: Floats
-    internal: Floats | None  # if a law has no potential, or changing data
+    velocity: Floats | float = 0.0  # change (owned nodes, d)
+    time: float = 0.0  # factor of the forces of both ends
+    supports: float = 0.0  # work of tools
+    friction: float = 0.0  # work
+    left: float = 0.0  # energy that it cannot add
+    why: str = "Its forces are too small along the motion for the impulse that restores the energy"
 
 
 class EnergyLedger:
@@ -65,8 +64,7 @@ class EnergyLedger:
             last = Ledger(total, kinetic, stored or 0.0, *none, total, impulses=impulses)
         self._acting = self._resultants()
         self.last, self._potential = last, stored
-        self._before: Ends | None = None
-        self._heated = False
+        self._began, self._heated = problem.owned_u.copy(), False
         self._inner = self._internal()
 
     def _resultants(self) -> list[Floats | None]:
@@ -131,86 +129,60 @@ class EnergyLedger:
         acceleration = inertia.mass.solve(acting, held)
         balance = inertia.mass.times(acceleration)
         inertia.put(acceleration=acceleration, balance=balance, load=loads, damping=damping)
+        if problem.committed.supports is not None:
+            inertia.put(supports=problem.committed.supports.forces)
 
     def open(self) -> None:
-        """Store the forces at the start of a step; collective."""
-        problem, inertia = self.problem, self.inertia
-        supports, shape = problem.committed.supports, inertia.mass.X.shape
-        if self._potential is not None and problem.solid.points.follows:  # by loads set already
+        """Note the start of a step, whose loads are set; collective."""
+        self._began, self._heated = self.problem.owned_u.copy(), False
+        if self._potential is not None and self.problem.solid.points.follows:
             self._heated = self.problem.solid.potential() != self._potential
-        self._before = Ends(
-            u=problem.owned_u.reshape(shape).copy(),
-            contact=inertia.values("contact").copy(),
-            friction=inertia.values("friction").copy(),
-            supports=np.zeros(shape) if supports is None else supports.forces,
-            loads=inertia.values("load").copy(),
-            damping=inertia.values("damping").copy(),
-            internal=self._inner,
-        )
 
     def _sum(self, array: Floats) -> float:
         return self.inertia.sum(array.sum())
 
-    def _end(self) -> Ends:
-        problem, shape = self.problem, self.inertia.mass.X.shape
-        outcome, supports = problem.outcome, problem.committed.supports
-        assert outcome is not None and supports is not None
-        assert outcome.normal is not None and outcome.tangential is not None
-        return Ends(
-            u=problem.owned_u.reshape(shape),
-            contact=outcome.normal,
-            friction=outcome.tangential,
-            supports=supports.forces,
-            loads=self._loads(),
-            damping=self._damping(),
-            internal=self._internal(),
-        )
-
     def commit(self, report: StepReport, linear: LinearSolver) -> None:
         """Commit a converged step, and add its ledger to the report; collective."""
-        problem, inertia, before = self.problem, self.inertia, self._before
-        assert before is not None
-        after, motion = self._end(), inertia.end()
-        du = after.u - before.u
-        names = "contact", "friction", "supports", "loads", "damping"
-        twice = {name: getattr(before, name) + getattr(after, name) for name in names}
-        work = {name: self._sum(0.5 * twice[name] * du) for name in names}
+        problem, inertia, outcome = self.problem, self.inertia, self.problem.outcome
+        supports, shape = problem.committed.supports, inertia.mass.X.shape
+        assert outcome is not None and supports is not None
+        assert outcome.normal is not None and outcome.tangential is not None
+        before, u = self._began.reshape(shape), problem.owned_u.reshape(shape)
+        ends = outcome.normal, outcome.tangential, supports.forces, self._loads(), self._damping()
+        after, motion, du = dict(zip(FORCES, ends, strict=True)), inertia.end(), u - before
+        twice = {name: inertia.values(name) + values for name, values in after.items()}
+        work = {name: self._sum(0.5 * values * du) for name, values in twice.items()}
         # the work of a moving tool on the bodies is no gain of contact
-        way = self._tool_way(before.u, after.u)
-        for name in names[:2]:
+        way = self._tool_way(before, u)
+        for name in FORCES[:2]:
             share = self._sum(0.5 * twice[name] * way)
             work[name] -= share
             work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
-        forces = [np.where(self._driven, 0.0, twice[name]) for name in names[:2]]
+        forces = [np.where(self._driven, 0.0, twice[name]) for name in FORCES[:2]]
         takes, slides = (self._sum(0.5 * f * (du - way)) for f in forces)
         terms = self._sum(np.abs(twice["contact"] * du))
-        left, unsolved, restored = 0.0, False, 0.0
-        owed = self.last.owed + takes + max(slides, 0.0)
+        impulse, owed = Impulse(), self.last.owed + takes + max(slides, 0.0)
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
-            found = self._responses(forces, report.rtol, linear)
-            motion, share, dragged, left, restored = self._restored(
-                motion, found, forces, way, -owed
-            )
-            work["supports"] += share
-            work["friction"] += dragged
-            unsolved, owed = found is None, 0.0
-        inertia.finish(motion)
-        impulses = self._impulses(restored)
-        potential = self.problem.solid.potential()
+            impulse = self._impulse(motion["velocity"], forces, way, -owed, report.rtol, linear)
+            work["supports"] += impulse.supports
+            work["friction"] += impulse.friction
+            owed = 0.0
+        motion["velocity"] = motion["velocity"] + impulse.velocity
+        inertia.finish(**motion, **after)
+        impulses = self._impulses(impulse.time)
+        potential = problem.solid.potential()
         problem.commit()
-        kept = {"load": after.loads, "damping": after.damping}
-        inertia.put(contact=after.contact, friction=after.friction, **kept)
-        last, (stored, flow, heat) = self.last, self._in_bodies(before, after, potential)
+        last, (stored, flow, heat) = self.last, self._in_bodies(du, potential)
         ledger = replace(
             last,
-            kinetic=inertia.energy_of(motion.velocity),
+            kinetic=inertia.kinetic_energy(),
             stored=stored,
             dissipated=last.dissipated + flow,
             friction=last.friction + max(-work["friction"], 0.0),
             damping=last.damping + work["damping"],
-            loads=last.loads + work["loads"] + heat,
+            loads=last.loads + work["load"] + heat,
             supports=last.supports + work["supports"],
             contact=last.contact + gain,
             owed=owed if self.conserve else 0.0,
@@ -219,19 +191,21 @@ class EnergyLedger:
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
-        left = float(ratio(left, self.last.largest))
+        left = float(ratio(impulse.left, self.last.largest))
         if abs(left) > report.rtol:
-            report.notes.append(_not_restored(left, unsolved=unsolved))
+            what = "taken from the bodies without giving it back"
+            what = what if left > 0.0 else "given to the bodies"
+            seen = f"in this step contact has {what} {100 * abs(left):.2g} % of the energy"
+            why = f"{impulse.why}: take shorter steps, or some damping"
+            report.notes.append(Note(seen, why))
         report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
 
-    def _in_bodies(
-        self, before: Ends, after: Ends, potential: float | None
-    ) -> tuple[float, float, float]:
+    def _in_bodies(self, du: Floats, potential: float | None) -> tuple[float, float, float]:
+        """Stored energy, dissipation and heat of a step."""
         inner, start = 0.0, self._potential
-        if before.internal is not None and after.internal is not None:
-            mean = 0.5 * (before.internal + after.internal)
-            inner = self._sum(mean * (after.u - before.u))
-        self._inner = after.internal
+        began, self._inner = self._inner, self._internal()
+        if began is not None and self._inner is not None:
+            inner = self._sum(0.5 * (began + self._inner) * du)
         if potential is None or start is None:
             return self.last.stored + inner, 0.0, 0.0
         heat = potential - start - inner if self._heated else 0.0
@@ -268,57 +242,38 @@ class EnergyLedger:
                     way[nodes] = tool.way(x + before[nodes], x + after[nodes])
         return way
 
-    def _responses(
-        self, forces: Sequence[Floats], rtol: float, linear: LinearSolver
-    ) -> tuple[Floats, Floats] | None:
-        """Displacements by forces of contact and of friction; None if not solved; collective."""
-        contact, friction = forces
-        y: Floats | None = np.zeros_like(friction)
-        if any_rank(self.problem.comm, friction.any())[0]:
-            y = respond(self.problem, friction, rtol, linear)
-        x = respond(self.problem, contact, rtol, linear)
-        return None if x is None or y is None else (x, y)
-
-    def _restored(
+    def _impulse(
         self,
-        motion: Motion,
-        responses: tuple[Floats, Floats] | None,
+        velocity: Floats,
         forces: Sequence[Floats],
         way: Floats,
         energy: float,
-    ) -> tuple[Motion, float, float, float, float]:
-        """Motion after an impulse of the contact forces that adds an energy; collective.
-
-        Also the works of tools and friction, the missing energy, and the time of the forces.
-        """
-        if responses is None:
-            return motion, 0.0, 0.0, energy, 0.0
-        mass, sums, start = self.inertia.mass, self.inertia.sum, self.inertia.start
-        moved = [mass.extend(y) for y in responses]
+        rtol: float,
+        linear: LinearSolver,
+    ) -> Impulse:
+        """Impulse of the forces of contact and friction that adds an energy; collective."""
+        problem, mass, sums, start = self.problem, self.inertia.mass, self._sum, self.inertia.start
+        moved = list[Floats]()
+        for f in forces:
+            acts = any_rank(problem.comm, f.any())[0]
+            y = respond(problem, f, rtol, linear) if acts else np.zeros_like(f)
+            if y is None:
+                why = "The linear solver found no response to the impulse that restores the energy"
+                return Impulse(left=energy, why=why)
+            moved.append(mass.extend(y))
         whole = moved[0] + moved[1]
         images = [mass.times(y) for y in moved]
         # per unit of y
-        tools, drags = (sums((f * way).sum()) / (start.kappa * start.dt) for f in forces)
-        a = sums((whole * images[0]).sum())
-        b = sums((motion.velocity * images[0]).sum()) - tools
+        tools, drags = (sums(f * way) / (start.kappa * start.dt) for f in forces)
+        a = sums(whole * images[0])
+        b = sums(velocity * images[0]) - tools
         if not a > 0.0:
-            return motion, 0.0, 0.0, energy, 0.0
+            return Impulse(left=energy)
         root = b**2 + 2.0 * a * energy
         s = 2.0 * energy / (b + np.copysign(np.sqrt(root), b)) if root > 0.0 else -b / a
+        dragged = s * (sums((velocity + 0.5 * s * whole) * images[1]) - drags)
         left = min(root, 0.0) / (2.0 * a)
-        mean = motion.velocity + 0.5 * s * whole
-        dragged = s * (sums((mean * images[1]).sum()) - drags)
-        changed = replace(motion, velocity=motion.velocity + s * whole)
-        return changed, s * (tools + drags), dragged, left, s / start.kappa
-
-
-def _not_restored(share: float, *, unsolved: bool) -> Note:
-    what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
-    why = "Its forces are too small along the motion for the impulse that restores the energy"
-    if unsolved:
-        why = "The linear solver found no response to the impulse that restores the energy"
-    seen = f"in this step contact has {what} {100 * abs(share):.2g} % of the energy"
-    return Note(seen, f"{why}: take shorter steps, or some damping")
+        return Impulse(s * whole, s / start.kappa, s * (tools + drags), dragged, left)
 
 
 def _balanced(ledger: Ledger) -> Ledger:

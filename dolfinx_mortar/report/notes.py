@@ -3,24 +3,22 @@
 
 import logging
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS
 from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts, gap_round_off
-from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.penetration import Overlap, notes_on_crossings, notes_on_overlaps
+from dolfinx_mortar.report.certificate import StepEnd
+from dolfinx_mortar.report.penetration import notes_on_crossings, notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution
 from dolfinx_mortar.report.small_strain import (
     LARGE,
-    LeftOut,
     notes_on_lost_stress,
     notes_on_small_strain,
 )
@@ -29,32 +27,16 @@ from dolfinx_mortar.step_report import Note
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class StepEnd:
-    """End of a step, for diagnoses."""
-
-    problem: ContactProblem
-    balance: Balance
-    contacts: Contacts
-    stiffness: Floats  # (n,) owned diagonal of the last condensed stiffness
-    overlap: float
-    left_out: LeftOut
-    overlaps: Mapping[int, Overlap]
-    pull: float  # of contacts, see `find_pull`
-    rtol: float
-    limit: float  # tolerance of residual forces, as a norm
-
-
 def note_partners(end: StepEnd) -> list[str]:
     """Notes on slides, rotations, tension and overlaps of contacts."""
     notes = _missed_tools(end)
     notes += _frozen(end) if end.problem.geometry == "reference" else _turned_tools(end)
-    if end.pull > max(end.rtol, QUARTER_OF_DIGITS):
+    if end.pull > max(end.report.rtol, QUARTER_OF_DIGITS):
         seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
     if end.overlap == 0.0:  # otherwise an initial overlap remains
-        notes += notes_on_overlaps(end.problem, end.overlaps, end.contacts.active, end.rtol)
+        notes += notes_on_overlaps(end.problem, end.overlaps, end.contacts.active, end.report.rtol)
     return notes + notes_on_crossings(end.problem, end.overlaps)
 
 
@@ -137,12 +119,10 @@ def note_pressures(end: StepEnd) -> list[str]:
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
-    forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
-    x, u = end.problem.positions(), end.problem.configuration
+    forces[forces <= np.maximum(end.residual.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     notes, few = list[str](), list[str]()
     for link in end.problem.system.unilateral:
-        diagonal, potential = end.problem.K.getDiagonal, end.problem.solid.potential
-        notes += note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
+        notes += note_on_facets(link, end.problem, forces, stiffness)
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             few += notes_on_resolution(link, end.contacts)
     return notes + few

@@ -2,12 +2,13 @@
 """Overlaps of boundaries: of sides between nodes, of bodies without an interface, of tools."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
@@ -178,105 +179,86 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
     return {k: max(found[k] for found in every if k in found) for k in sorted(known)}
 
 
-@dataclass(frozen=True)
-class _Skin:
-    """Flat facets near other bodies, or on surfaces in self-contact."""
-
-    body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) on its slave and its master side
-    on: Bools  # (m, 2, interfaces) on or next to these
-    x: Floats  # (m, d, d)
-    off: Floats  # (m,) distance of the interface sides from their facets, on or next to them
-    size: Floats  # (m,) in space root of the area, of whole facets
-
-    def __getitem__(self, which: Bools | Longs) -> "_Skin":
-        return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
-
-    def received(self, comm: MPI.Comm) -> "_Skin":
-        """Facets of this rank and others in their box; collective."""
-        low, high = bounds(self.x)
-        box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
-        sent = [
-            self[((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank)]
-            for rank, (least, most) in enumerate(comm.allgather(box))
-        ]
-        parts = [self, *comm.alltoall(sent)]
-        return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
-
-    def pairs(self, meets_itself: Bools) -> tuple[Longs, Longs]:
-        """Near facets (p, 2) of two bodies, or in self-contact; coupling interface (p,) or -1.
-
-        Sides of an interface are coupled where they face each other.
-        """
-        count = int(self.body.max(initial=-1)) + 1
-        own = np.zeros(count, dtype=bool)
-        surface = self.sides.any(axis=1) & meets_itself
-        own[self.body[surface.any(axis=1)]] = True
-        pairs = near_pairs(self.x, self.body, ~np.eye(count, dtype=bool) | np.diag(own))
-        one, other = pairs.T
-        alike = self.body[one] == self.body[other]
-        a, b = pairs[alike].T
-        apart = np.abs(self.x[a][:, :, None] - self.x[b][:, None]).max(axis=3).min(axis=(1, 2))
-        common = apart <= HALF_OF_DIGITS * self.size[a]  # equal on all ranks despite round-off
-        alike[alike] = common | ~(surface[a] & surface[b]).any(axis=1)
-        one, other = (pairs := pairs[~alike]).T
-        n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
-        coupled = (self.sides[one] & self.sides[other][:, ::-1]).any(axis=1)
-        coupled &= ((n[one] * n[other]).sum(axis=1) < -HALF_OF_DIGITS)[:, None]
-        none = np.ones((len(pairs), 1), dtype=bool)
-        return pairs, np.column_stack([coupled, none]).argmax(axis=1)
-
-
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
     Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
     facets count as flat.
     """
-    interfaces = problem.system.interfaces
-    meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
-    if problem.bodies.count == 1 and not meets_itself.any():
+    links, comm = problem.system.links, problem.comm
+    itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
+    if problem.bodies.count == 1 and not itself.any():
         return {}
-    comm, own = problem.comm, _create_skin(problem, meets_itself)
-    skin = own.received(comm)
-    pairs, group = skin.pairs(meets_itself)
-    group[group == len(interfaces)] = -1
-    depth, place = overlaps_of_facets(skin.x, skin.off, pairs)
-    held = [k for k, interface in enumerate(interfaces) if not interface.unilateral]
-    here = (pairs[:, 0] < len(own.body)) & ~np.isin(group, held)
-    here &= depth > 0.0
-    pairs, depth = pairs[here], depth[here]
-    tied = (skin.on[pairs[:, 0]] & skin.on[pairs[:, 1], ::-1]).any(axis=1)
-    depth -= (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
-    columns = depth / skin.size[pairs].min(axis=1), depth, place[here], skin.body[pairs]
-    return {k: Overlap(*found) for k, found in _deepest(comm, group[here], *columns).items()}
+    own = _create_skin(problem, itself)
+    low, high = bounds(own["x"])
+    box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
+    sent = [  # to ranks with facets there
+        own[((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank)]
+        for rank, (least, most) in enumerate(comm.allgather(box))
+    ]
+    skin = np.concatenate([own, *comm.alltoall(sent)])
+    pairs, group = _near_pairs(skin, itself)
+    depth, place = overlaps_of_facets(skin["x"], skin["off"], pairs)
+    ties = [k for k, link in enumerate(links) if not link.unilateral]
+    here = (pairs[:, 0] < len(own)) & ~np.isin(group, ties) & (depth > 0.0)
+    group, pairs, depth, place = group[here], pairs[here], depth[here], place[here]
+    jumps = [link.apart() for link in links]
+    longest = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in jumps]
+    if links:
+        one, other = skin["on"][pairs].swapaxes(0, 1)
+        tied = (one & other[:, ::-1]).any(axis=1)
+        depth -= (tied * maximum(comm, *longest)).max(axis=1, initial=0.0)
+    columns = depth / skin["size"][pairs].min(axis=1), depth, place, skin["body"][pairs]
+    return {k: Overlap(*found) for k, found in _deepest(comm, group, *columns).items()}
 
 
-def _longest_jumps(problem: ContactProblem) -> Floats:
-    """Length of the jump of each interface; collective."""
-    apart = [link.apart() for link in problem.system.links]
-    lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
-    none = np.zeros(len(problem.system.sides))
-    return np.asarray(maximum(problem.comm, *lengths)) if lengths else none
+def _near_pairs(skin: npt.NDArray[Any], itself: Bools) -> tuple[Longs, Longs]:
+    """Near facets (p, 2) of two bodies, or in self-contact; coupling interface (p,) or -1.
+
+    Sides of an interface are coupled where they face each other.
+    """
+    x, body, sides = skin["x"], skin["body"], skin["sides"]
+    count = int(body.max(initial=-1)) + 1
+    own = np.zeros(count, dtype=bool)
+    surface = sides.any(axis=1) & itself
+    own[body[surface.any(axis=1)]] = True
+    pairs = near_pairs(x, body, ~np.eye(count, dtype=bool) | np.diag(own))
+    one, other = pairs.T
+    alike = body[one] == body[other]
+    a, b = pairs[alike].T
+    apart = np.abs(x[a][:, :, None] - x[b][:, None]).max(axis=3).min(axis=(1, 2))
+    common = apart <= HALF_OF_DIGITS * skin["size"][a]  # equal on all ranks despite round-off
+    alike[alike] = common | ~(surface[a] & surface[b]).any(axis=1)
+    one, other = (pairs := pairs[~alike]).T
+    n = facet_normals(Facets(LINE2 if x.shape[2] == 2 else TRI3, x))
+    coupled = (sides[one] & sides[other][:, ::-1]).any(axis=1)
+    coupled &= ((n[one] * n[other]).sum(axis=1) < -HALF_OF_DIGITS)[:, None]
+    none = np.ones((len(pairs), 1), dtype=bool)
+    group = np.column_stack([coupled, none]).argmax(axis=1)
+    return pairs, np.where(group == len(itself), -1, group)
 
 
-def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
-    boundary, interfaces = problem.system.boundary, problem.system.sides
-    facets, nodes = boundary.at(problem.u), boundary.nodes
+def _create_skin(problem: ContactProblem, itself: Bools) -> npt.NDArray[Any]:
+    """Flat facets (m,) near other bodies, or on surfaces in self-contact; collective.
+
+    Fields: body, x (d, d), off: distance of sides from their facets, size: root of the area of the
+    whole facet in space, sides and on (2, interfaces): on each side, and on or next to it.
+    """
+    boundary, interfaces, d = problem.system.boundary, problem.system.sides, problem.d
+    facets, many = boundary.at(problem.u), len(interfaces)
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
-    sides = np.zeros((len(body), 2, len(interfaces)), dtype=bool)
-    count = 1 + 2 * len(interfaces)
-    values = la.vector(problem.V.dofmap.index_map, count)
+    sides = np.zeros((len(body), 2, many), dtype=bool)
+    values = la.vector(problem.V.dofmap.index_map, 1 + 2 * many)
     values.array[:] = 0.0
-    at = values.array.reshape(-1, count)
+    at = values.array.reshape(-1, 1 + 2 * many)
     for k, interface in enumerate(interfaces):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
             at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
-            at[own, 1 + j * len(interfaces) + k] = 1.0
-    for k in np.flatnonzero(meets_itself):
+            at[own, 1 + j * many + k] = 1.0
+    for k in np.flatnonzero(itself):
         pairing = problem.system.links[k].pairing
         assert pairing is not None and pairing.roles is not None
         slaves = interfaces[k].slave.entities[pairing.roles.slave]
@@ -284,12 +266,16 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
         sides[:, 1, k] &= ~sides[:, 0, k]
     values.scatter_forward()
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
-    near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & meets_itself).any(axis=1)
-    on = at[nodes[near]].max(axis=1, initial=0.0)
-    size = np.linalg.norm(area_vectors(facets[near]), axis=1) ** (1 / (problem.d - 1))
+    near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & itself).any(axis=1)
+    on = at[boundary.nodes[near]].max(axis=1, initial=0.0)
+    size = np.linalg.norm(area_vectors(facets[near]), axis=1) ** (1 / (d - 1))
     x = flat_parts(parts_of(facets[near]))
-    which = np.flatnonzero(near).repeat(parts(facets.element))
-    which = np.resize(which, len(x))  # quadrilaterals are two triangles
-    again = np.resize(np.arange(len(size)).repeat(parts(facets.element)), len(x))
-    on_sides = on[again, 1:].reshape(len(x), *sides.shape[1:]) > 0.0
-    return _Skin(body[which], sides[which], on_sides, x, on[again, 0], size[again])
+    # quadrilaterals are two triangles
+    of = np.resize(np.arange(len(size)).repeat(parts(facets.element)), len(x))
+    kinds = [("body", np.int64), ("x", float, (d, d)), ("off", float), ("size", float)]
+    kinds += [("sides", bool, (2, many)), ("on", bool, (2, many))]
+    skin = np.empty(len(x), kinds)
+    skin["body"], skin["x"], skin["size"] = body[near][of], x, size[of]
+    skin["sides"], skin["off"] = sides[near][of], on[of, 0]
+    skin["on"] = on[of, 1:].reshape(len(x), 2, many) > 0.0
+    return skin

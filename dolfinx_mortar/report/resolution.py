@@ -1,38 +1,28 @@
 # SPDX-License-Identifier: MIT
 """Resolution of pressures: heights of curved sides, nodes of the largest patch, oscillations."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
-from dolfinx_mortar.audit.sides import SPOILT, are_flat
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.audit.audit import SPOILT, are_flat
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
-from dolfinx_mortar.mortar.curvature_correction import (
-    SmoothSide,
-    missed_heights,
-    point_heights,
-)
+from dolfinx_mortar.interfaces.tool import SidePattern, find_facing, point_gaps
+from dolfinx_mortar.mortar.curvature_correction import missed_heights, point_heights
 from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.operators import mean_values, whole_facets
+from dolfinx_mortar.mortar.operators import WholeSide, mean_values, whole_facets
 from dolfinx_mortar.mortar.pairing import Pairing
-from dolfinx_mortar.mortar.surface import (
-    accumulate,
-    coordinates,
-    mean_facet_length,
-    sum_at_nodes,
-)
+from dolfinx_mortar.mortar.surface import coordinates, mean_facet_length, sum_at_nodes
 from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import Note
 
 # Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are at most 9 % with 5
@@ -41,68 +31,40 @@ NODES = {2: 7, 3: 17}
 # Oscillation of plane pressures over their mean: on disc and block .007 to .083 where pressures are
 # within a tenth of Hertz', .15 to 1 where a fifth off.
 OSCILLATION = 0.1
-Find = Callable[
-    [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
-    Floats,
-]
-
-
-def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    (pairing, operators), sides = link.mortar, link.sides
-    smooth = link.pattern.smooth or link.pattern.nearby
-    assert smooth is not None, "of contacts only"
-    kept = np.zeros(len(sides.slave.nodes))
-    kept[: sides.slave.owned] = link.coupling.kept[:, 0]
-    Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
-    at_points = find(pairing, operators.segments, u, smooth)
-    return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
 
 
 def note_on_facets(
-    link: Link,
-    x: PETSc.Vec,
-    u: fem.Function | None,
-    forces: Floats,
-    stiffness: Floats,
-    diagonal: Callable[[], PETSc.Vec],
-    potential: Callable[[], float | None],
+    link: Link, problem: ContactProblem, forces: Floats, stiffness: Floats
 ) -> list[str]:
     """Note on a contact if facets make its pressures inaccurate; collective.
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
-    nodes; with smooth surfaces of degree 1 `missed_heights`. K^_jj h_j, with both sides in series,
-    is compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. A
-    uniform h_j counts two to four times.
+    nodes; with smooth surfaces of degree 1 `missed_heights`. K^_jj h_j is compared with the contact
+    forces z_j, at loaded nodes and those with gaps below h_j. A uniform h_j counts two to four
+    times, a soft master is taken for a stiff one.
     Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
     F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
 
     Args:
-        x: (n,) X + u.
-        u: displacement of the facets, None for X.
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) K^_jj.
-        diagonal: of K, of the bodies alone.
-        potential: see `Solid.potential`.
     """
-    comm, k, z = link.sides.V.mesh.comm, stiffness[link.nodes], forces[link.nodes]
+    comm, k, z = problem.comm, stiffness[link.nodes], forces[link.nodes]
     on, meshed = z > 0.0, link.pairing is not None
     touches = any_rank(comm, on.any())[0]
-    even = _missed(link, u) if touches or meshed else None
+    even = _missed(link, problem.configuration) if touches or meshed else None
     if even is None:
         return []
     missed, smooth = even, meshed and link.interface.smooth
     if smooth or not touches:
         least = HALF_OF_DIGITS * mean_facet_length(link.sides.slave)
         near = np.abs(missed) if smooth else missed - least
-        on = on | (link.coupling.kept[:, 0] & (link.gaps(x) <= near))
+        on = on | (link.coupling.kept[:, 0] & (link.gaps(problem.positions()) <= near))
     else:
         total, count = comm.allreduce(np.array([missed[on].sum(), on.sum()]))
         missed = missed - total / max(count, 1)
     share, right = ratio(norm(comm, k[on] * missed[on]), norm(comm, z)), SPOILT
-    if meshed and SPOILT < share < np.inf:
-        k = _in_series(link, k, diagonal())
-        share = ratio(norm(comm, k[on] * missed[on]), norm(comm, z))
-    if share <= SPOILT and not meshed and (stored := potential()) is not None:
+    if share <= SPOILT and not meshed and (stored := problem.solid.potential()) is not None:
         work = comm.allreduce(float(z @ even))
         share, missed, right = ratio(abs(work), 2.0 * abs(stored)), even, 0.25 * SPOILT
     if share <= right:
@@ -117,49 +79,37 @@ def note_on_facets(
 
 
 def _missed(link: Link, u: fem.Function | None) -> Floats | None:
-    if link.pairing is None:
-        faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
-        if faceted is None:
+    """Errors (n,) of gaps, None where they are exact; collective."""
+    pattern, slave, tool = link.pattern, link.sides.slave, link.interface.tool
+    if link.pairing is not None:
+        smooth = pattern.smooth or pattern.nearby
+        assert smooth is not None, "of contacts only"
+        curved = slave.element.degree == 1 and not are_flat(link, smooth)
+        if link.interface.smooth and not curved:
             return None
-        tool = link.interface.tool
-        heights = None if tool is None else _heights_at_tool(link, tool, u)
-        return None if heights is None else np.asarray(heights * faceted)
-    if not link.interface.smooth:
-        return _means(link, u, point_heights)
-    assert link.pattern.smooth is not None
-    first = link.sides.slave.element.degree == 1
-    curved = first and not are_flat(link, link.pattern.smooth)
-    return _means(link, u, missed_heights) if curved else None
-
-
-def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
-    """Excess (n,) of gaps to a tool over those of smooth surfaces, None where exact."""
-    pattern, slave = link.pattern, link.sides.slave
-    assert isinstance(pattern, SidePattern) and pattern.side is not None
-    if slave.element.degree > 1 or pattern.nodal:
+        (pairing, operators), weight = link.mortar, link.mortar[1].weight
+        find = missed_heights if link.interface.smooth else point_heights
+        found = find(pairing, operators.segments, u, smooth)
+        return _nodal_means(link, pairing, operators.segments, weight, found)
+    assert isinstance(pattern, SidePattern)
+    side, faceted = pattern.side, pattern.faceted
+    if tool is None or side is None or faceted is None or slave.element.degree > 1 or pattern.nodal:
         return None
-    side, pose, x = pattern.side, tool.pose(), coordinates(slave, u)
+    pose, x = tool.pose(), coordinates(slave, u)
     segments, points = whole_facets(side, x, find_facing(side, pose, tool.asked, x))
-    facets, smooth = (
+    flat, smooth_gaps = (
         point_gaps(which, pose, tool.asked, u, segments, points)[0]
         for which in (pattern, replace(pattern, nodal=True))
     )
-    kept = np.zeros(len(slave.nodes))
-    kept[: slave.owned] = link.coupling.kept[:, 0]
-    Phi = weighted_duals(side, segments, accumulate(slave, kept) > 0.0)
-    return mean_values(side, segments, Phi, link.coupling.weight[:, 0], facets - smooth)
+    weight = link.coupling.weight
+    return faceted * _nodal_means(link, side, segments, weight, flat - smooth_gaps)
 
 
-def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
-    """Stiffness (n,) in series with the master, of compliance sum_l P_jl^2 n_j.(n_j / K_ll)."""
-    n, P, own = link.coupling.normals, link.pattern.scalars, diagonal.array_r
-    P.fill(link.coupling.P[:, 0, None, None] ** 2)
-    softness, give = P.matrix.createVecRight(), np.zeros(len(k))
-    inverse = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0.0)
-    for i in range(n.shape[1]):
-        softness.array[:] = inverse[i :: n.shape[1]]
-        give += n[:, i] ** 2 * (P.matrix * softness).array_r[link.nodes]
-    return np.asarray(k / (1.0 + k * give))
+def _nodal_means(
+    link: Link, of: Pairing | WholeSide, segments: Segments, weight: Floats, at_points: Floats
+) -> Floats:
+    Phi = weighted_duals(of, segments, link.with_ghosts(link.coupling.kept[:, 0]) > 0.0)
+    return mean_values(of, segments, Phi, weight[:, 0], at_points)
 
 
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
@@ -204,9 +154,8 @@ def oscillation(link: Link, contacts: Contacts) -> float:
     p (1 +- a) gives a.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
-    own = np.zeros((len(slave.nodes), 2))
-    own[: slave.owned] = np.column_stack([contacts.multipliers[nodes], link.coupling.kept[:, 0]])
-    p, kept = accumulate(slave, own).T
+    own = np.column_stack([contacts.multipliers[nodes], link.coupling.kept[:, 0]])
+    p, kept = link.with_ghosts(own).T
 
     def of_neighbours(values: Floats) -> Floats:
         there = values[slave.facets]
@@ -225,38 +174,27 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective."""
     slave, nodes = link.sides.slave, link.nodes
     active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
-    marks = np.zeros((len(slave.nodes), 1))
-    marks[: slave.owned, 0] = link.coupling.kept[:, 0] & ~active
-    (off,) = (accumulate(slave, marks) > 0).T
-    beside = np.repeat(off[slave.facets].any(axis=1)[:, None], slave.facets.shape[1], axis=1)
-    ends = sum_at_nodes(slave, beside[:, :, None])[: slave.owned, 0] > 0
-    return _measure(find_patches(link, active, contacts.multipliers[nodes], planes, ends))
+    off = link.with_ghosts(link.coupling.kept[:, 0] & ~active)[slave.facets]
+    beside = np.repeat(off.max(axis=1)[:, None, None], off.shape[1], axis=1)
+    ends = sum_at_nodes(slave, beside)[: slave.owned, 0] > 0.0
+    patches = find_patches(link, active, contacts.multipliers[nodes], planes, ends)
+    if not patches:
+        return 0, False
+    fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T
+    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
     """Tables of ``columns`` (n,) or (n, c) by patch of marked nodes; collective."""
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
-    marks = np.zeros((len(slave.nodes), 1))
-    marks[: slave.owned, 0] = marked
-    on = accumulate(slave, marks)[:, 0] > 0
+    on = link.with_ghosts(marked) > 0.0
     number = layout.local_to_global(slave.nodes).astype(np.int64)
-    table = np.column_stack([number[: slave.owned], *columns])
-    ends = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
-    pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in ends])
-    pairs = np.concatenate(comm.allgather(pairs))
-    return _patches(np.concatenate(comm.allgather(table[marked])), pairs)
-
-
-def _patches(table: Floats, pairs: Longs) -> list[Floats]:
+    own = np.column_stack([number[: slave.owned], *columns])[marked]
+    sides = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
+    pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in sides])
+    table, pairs = (np.concatenate(comm.allgather(rows)) for rows in (own, pairs))
     table = table[np.argsort(table[:, 0])]
     ends = np.searchsorted(table[:, 0], pairs)
     graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
     count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return [table[label == k, 1:] for k in range(count)]
-
-
-def _measure(patches: Sequence[Floats]) -> tuple[int, bool]:
-    if not patches:
-        return 0, False
-    fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T
-    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())

@@ -57,25 +57,16 @@ class Polyline(Curved):
         self._q = np.roll(x, -1, axis=0)[: len(self._p)]
         lengths, along = unit_vectors(self._q - self._p)
         short = lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max()
-        refuse("points have", self._p, short, "points that coincide", REMEDY)
         before = along if closed else along[:-1]
         after = np.roll(along, -1, axis=0)[: len(before)]
         beside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         back = (np.abs(beside) <= HALF_OF_DIGITS) & ((before * after).sum(axis=1) < 0.0)
-        refuse(
-            "points have",
-            self._q[: len(back)],
-            back,
-            "edges that go back along the one before",
-            REMEDY,
-        )
-        refuse(
-            "points have",
-            self._p,
-            _crossed(self._p, self._q, closed),
-            "edges that cross others",
-            REMEDY,
-        )
+        for what, wrong, at in (
+            ("points that coincide", short, self._p),
+            ("edges that go back along the one before", back, self._q[: len(back)]),
+            ("edges that cross others", _crossed(self._p, self._q), self._p),
+        ):
+            refuse("points have", at, wrong, what, REMEDY)
         if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
@@ -95,12 +86,9 @@ class Polyline(Curved):
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
-        """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
-        p, q, n = self._p, self._q, np.arange(len(self._p))
-        a, b = np.moveaxis(self._bends[:, 0, :, :2], 1, 0)
-        x = np.concatenate([p, (p + q) / 2 + (a - b) / 8.0, q])
-        lines = np.concatenate([n, n + len(n)]), np.concatenate([n + len(n), n + 2 * len(n)])
-        return x, np.stack(lines, axis=1)
+        """Points (n, 2), and lines (m, 2) between them."""
+        first = np.arange(len(self._p))
+        return self.points, np.stack([first, (first + 1) % len(self.points)], axis=1)
 
     def given(self) -> Mapping[str, Any]:
         """See `Shape`; with a digest of the points."""
@@ -162,20 +150,15 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
     return unit_vectors(directions[one[best], n] + directions[other[best], n])[1]
 
 
-def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
+def _crossed(p: Floats, q: Floats) -> Bools:
     """Mask (m,) of edges that cross another one."""
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a
         return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
-    m = len(p)
-    result = np.zeros(m, dtype=bool)
-    number = np.arange(m)
-    for k in range(m):
+    result = np.zeros(len(p), dtype=bool)
+    for k in range(len(p)):  # exactly 0 at the common point of two neighbours
         between = side(p[k], q[k], p) * side(p[k], q[k], q) < 0.0
-        between &= side(p, q, p[k]) * side(p, q, q[k]) < 0.0
-        apart = np.abs(number - k)
-        next_to = (apart <= 1) | (closed & (apart == m - 1))
-        result[k] = (between & ~next_to).any()
+        result[k] = (between & (side(p, q, p[k]) * side(p, q, q[k]) < 0.0)).any()
     return result

@@ -17,13 +17,7 @@ from dolfinx_mortar.shapes.shape import (
     check_unit,
     of_axis,
     of_centre,
-    of_section,
 )
-
-
-def _off_axis(point: Floats, radius: float, axis: Floats | None = None) -> bool:
-    size = radius + float(np.abs(point).max())
-    return bool(abs(point[0]) > SAME * size or (axis is not None and abs(axis[0]) > SAME))
 
 
 class Plane(Shape):
@@ -51,7 +45,25 @@ class Plane(Shape):
         return Distance((x - self.point) @ self.normal, gradient, np.zeros((n, d, d)))
 
 
-class _Round(Shape):
+class _Revolved(Shape):
+    """A shape about an axis."""
+
+    radius: Any
+    axis: Any = None
+    in_plane: ClassVar[str]
+    about = "axis=(0, 1) and a centre (0, z)"
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give {self.in_plane}"
+        off = abs(self.point[0]) > SAME * (self.radius + np.abs(self.point).max())
+        if revolved and (off or (self.axis is not None and abs(self.axis[0]) > SAME)):
+            return f"{self!r} is not about the axis: give {self.about}"
+        return super().misfit(d, revolved)
+
+
+class _Round(_Revolved):
     def __init__(self, centre: Any, radius: Any) -> None:
         self.centre = self.point = check("centre", centre, POINT)
         self.radius = check("radius", radius, LENGTH)
@@ -65,13 +77,8 @@ class Sphere(_Round):
         radius: R.
     """
 
-    def misfit(self, d: int, revolved: bool) -> str:
-        """See `Shape`."""
-        if d == 2 and not revolved:
-            return f"{self!r} is no plane figure: give a Cylinder"
-        if revolved and _off_axis(self.centre, self.radius):
-            return f"{self!r} is not centred on the axis, where it would be a Torus: give that"
-        return super().misfit(d, revolved)
+    in_plane = "a Cylinder"
+    about = "a centre (0, z), or a Torus"
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
@@ -87,6 +94,8 @@ class Cylinder(_Round):
         axis: d components; None in plane problems.
     """
 
+    in_plane = "no axis, which is across the plane"
+
     def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
         super().__init__(centre, radius)
         self.axis = None if axis is None else check_unit("axis", axis, len(self.centre))
@@ -95,14 +104,9 @@ class Cylinder(_Round):
 
     def misfit(self, d: int, revolved: bool) -> str:
         """See `Shape`."""
-        if d == 2 and not revolved and self.axis is not None:
-            return f"{self!r} has an axis, which in plane problems is across the plane: give none"
-        if revolved:
-            if self.axis is None:
-                return f"{self!r} is no shape of revolution: give a Sphere or a Torus"
-            if _off_axis(self.centre, self.radius, self.axis):
-                return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
-        return super().misfit(d, revolved)
+        if self.axis is None and revolved:
+            return f"{self!r} is no shape of revolution: give a Sphere or a Torus"
+        return Shape.misfit(self, d, revolved) if self.axis is None else super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
@@ -121,6 +125,8 @@ class Torus(_Round):
         axis: d components; default (0, 1) in axisymmetry.
     """
 
+    in_plane = "Cylinders, and their Union"
+
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
         super().__init__(centre, radius)
         self.tube = check("tube", tube, LENGTH)
@@ -128,28 +134,23 @@ class Torus(_Round):
             axis = (0.0, 1.0)
         self.axis = check_unit("axis", axis, len(self.centre))
 
-    def misfit(self, d: int, revolved: bool) -> str:
-        """See `Shape`."""
-        if d == 2 and not revolved:
-            return f"{self!r} is no plane figure: give Cylinders, and their Union"
-        if revolved and _off_axis(self.centre, self.radius, self.axis):
-            return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
-        return super().misfit(d, revolved)
-
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
-        n, d = x.shape
-        offset = x - self.centre
-        across = of_axis(offset, self.axis)
-        along = Distance(offset @ self.axis, np.tile(self.axis, (n, 1)), np.zeros((n, d, d)))
-        section = np.stack([across.value - self.radius, along.value], axis=1)
-        return of_section(across, along, of_centre(section)).less(self.tube)
+        n, offset = len(x), x - self.centre
+        rho = of_axis(offset, self.axis)
+        # phi of the section in the coordinates rho - R and along the axis
+        phi = of_centre(np.stack([rho.value - self.radius, offset @ self.axis], axis=1))
+        parts = np.stack([rho.gradient, np.tile(self.axis, (n, 1))], axis=1)
+        hessian = phi.gradient[:, 0, None, None] * rho.hessian
+        hessian = hessian + parts.swapaxes(1, 2) @ phi.hessian @ parts
+        gradient = (phi.gradient[:, None] @ parts)[:, 0]
+        return Distance(phi.value, gradient, hessian).less(self.tube)
 
 
 class _Pointed(Shape):
     """A sharp section offset outwards by the tip radius, see `Cone`."""
 
-    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
+    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
         self.tip = self.point = check("tip", tip, POINT)
         flank = number("the degrees between axis and flank,", above=0.0, below=90.0)
         self.half_angle = check("half_angle", half_angle, flank)
@@ -175,7 +176,7 @@ class _Pointed(Shape):
         return np.asarray(self.tip + self.radius * self.axis)
 
 
-class Cone(_Pointed):
+class Cone(_Revolved, _Pointed):
     """A cone in space, or about the axis of an axisymmetric problem.
 
     With the distance rho from the axis, the height h over the centre of the tip and the half angle
@@ -188,16 +189,8 @@ class Cone(_Pointed):
         radius: R of the tip, 0 if sharp.
     """
 
-    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
-        super().__init__(tip, half_angle, axis, radius)
-
-    def misfit(self, d: int, revolved: bool) -> str:
-        """See `Shape`."""
-        if d == 2 and not revolved:
-            return f"{self!r} is no plane figure: give a Wedge"
-        if revolved and _off_axis(self.tip, self.radius, self.axis):
-            return f"{self!r} is not about the axis: give axis=(0, 1) or (0, -1), a tip (0, z)"
-        return super().misfit(d, revolved)
+    in_plane = "a Wedge"
+    about = "axis=(0, 1) or (0, -1), and a tip (0, z)"
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""

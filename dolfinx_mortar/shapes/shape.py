@@ -157,14 +157,3 @@ def of_axis(offset: Floats, axis: Floats) -> Distance:
     inverse = np.divide(1.0, found.value, out=np.zeros_like(along), where=found.value > 0.0)
     rest = axis[:, None] * axis[None, :] * inverse[:, None, None]
     return Distance(found.value, found.gradient, found.hessian - rest)
-
-
-def of_section(u: Distance, v: Distance, phi: Distance) -> Distance:
-    """Distance phi(u, v), given phi in the (u, v) plane."""
-    g, H = phi.gradient, phi.hessian
-    a, b = u.gradient, v.gradient
-    gradient = g[:, :1] * a + g[:, 1:] * b
-    hessian = g[:, 0, None, None] * u.hessian + g[:, 1, None, None] * v.hessian
-    parts = np.stack([a, b], axis=1)
-    hessian = hessian + np.einsum("nab,nai,nbj->nij", H, parts, parts)
-    return Distance(phi.value, gradient, hessian)

@@ -52,7 +52,7 @@ class Eigenstrain(Followed):
         function = point_function(domain, degree, shape, "eigenstrain")
         sources: list[Source] = []
         # components that must vanish: of the skew part, in the plane also yz and xz
-        self._vanishing: list[fem.Expression | None] = []
+        self._vanishing: list[Source | None] = []
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
             stored = to_components(tensor, shape[0]) if shape else value
@@ -61,8 +61,7 @@ class Eigenstrain(Followed):
             if value.ufl_shape:
                 terms = [value[i, j] - value[j, i] for i, j in ((0, 1), (1, 2), (0, 2))]
                 terms += [tensor[1, 2], tensor[0, 2]] if d == 2 else []
-                part = Part(name, function, ufl.as_vector(terms))
-                zero = create_source(cells, part).expression
+                zero = create_source(cells, Part(name, function, ufl.as_vector(terms)))
             self._vanishing.append(zero)
         super().__init__(function, sources)
 
@@ -81,7 +80,7 @@ class Eigenstrain(Followed):
         for source, vanishing in zip(self._sources, self._vanishing, strict=True):
             self._judge(source, vanishing)
 
-    def _judge(self, source: Source, vanishing: fem.Expression | None) -> None:
+    def _judge(self, source: Source, vanishing: Source | None) -> None:
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         cells, name = source.cells[source.cells < owned], source.parts[0].name
@@ -90,8 +89,8 @@ class Eigenstrain(Followed):
         skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
         if vanishing is not None:
             largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
-            terms = 5 if V.mesh.geometry.dim == 2 else 3
-            zero = np.asarray(vanishing.eval(V.mesh, cells)).reshape(len(undefined), terms)
+            (zero,) = vanishing.evaluate(cells)
+            zero = zero.reshape(len(undefined), zero.shape[2])
             # derivatives of interpolated fields lose digits
             skew = (np.abs(zero[:, :3]) > HALF_OF_DIGITS * largest).any(axis=1)
             out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined

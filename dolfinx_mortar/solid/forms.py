@@ -27,6 +27,7 @@ from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Integral, Region
 from dolfinx_mortar.solid.mean_volume import MeanDilatation, MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
+from dolfinx_mortar.solid.sources import unchanged
 from dolfinx_mortar.solid.term import MatrixForm, create_vector
 from ufl.core.expr import Expr
 
@@ -146,16 +147,12 @@ class CommittedData:
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
         parameters = [region.parameters for region in integral.regions]
         self._functions = [*self.strained, *(one.function for one in parameters if one.varying)]
-        self._kept: list[Floats] | None = [f.x.array.copy() for f in self._functions]
-        for values in self._kept[: len(self.strained)]:
+        self._kept: list[Floats] | None = None
+        for values in self.complete()[: len(self.strained)]:
             values[:] = 0.0
 
-    def keep(self) -> None:
-        """Commit the present values."""
-        self._kept = [f.x.array.copy() for f in self._functions]
-
     def forget(self) -> None:
-        """Take the values of the next `complete`: checkpoints have none."""
+        """Take the values of the next `complete`, as committed ones."""
         self._kept = None
 
     def complete(self) -> list[Floats]:
@@ -184,14 +181,10 @@ class CommittedData:
     @contextmanager
     def put(self) -> Iterator[None]:
         """Restore the committed values within a block."""
-        now = [f.x.array.copy() for f in self._functions]
-        try:
+        with unchanged(self._functions):
             for f, values in zip(self._functions, self.complete(), strict=True):
                 f.x.array[:] = values
             yield
-        finally:
-            for f, values in zip(self._functions, now, strict=True):
-                f.x.array[:] = values
 
 
 def create_responses(

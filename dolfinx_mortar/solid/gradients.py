@@ -15,15 +15,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import (
-    tensor_of,
-    to_components,
-)
+from dolfinx_mortar.materials.tensor import tensor_of, to_components
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function
@@ -76,7 +72,7 @@ class Volumes:
         return describe_lowest(self.J.function_space.mesh, self._now(), 0.0, *words)
 
     def _now(self) -> np.ndarray:
-        return self.source.evaluate(self.source.cells[: self._owned])[..., 0]
+        return self.source.evaluate(self.source.cells[: self._owned])[0][..., 0]
 
 
 def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
@@ -143,10 +139,8 @@ class PointGradients:
             parts += [to_components(ufl.transpose(H) * H / 2, size) for H in (strain + W, W)]
         if eigenstrain is not None:
             parts.append(to_components(strain - eigenstrain.tensor, size))
-        self._sizes = [part.ufl_shape[0] for part in parts]
-        entries = [part[i] for part in parts for i in range(part.ufl_shape[0])]
-        points = compat.interpolation_points(self._space)
-        self._compiled = fem.Expression(ufl.as_vector(entries), points)
+        named = (Part("strain and rotation", stress, part) for part in parts)
+        self._source = create_source(np.arange(0, dtype=np.int32), *named)
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
         """Strain and rotation at u, by default in owned cells; not collective."""
@@ -154,8 +148,8 @@ class PointGradients:
         if cells is None:
             owned = domain.topology.index_map(domain.topology.dim).size_local
             cells = np.arange(owned, dtype=np.int32)
-        found = np.asarray(self._compiled.eval(domain, cells)).reshape(-1, sum(self._sizes))
-        strain, rotation, *rest = np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
+        found = self._source.evaluate(cells)
+        strain, rotation, *rest = (part.reshape(-1, part.shape[2]) for part in found)
         if not self.small:
             rest = [np.zeros_like(strain)] * 2 + rest
         return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)

@@ -36,7 +36,6 @@ from dolfinx_mortar.solid.sources import (
     Part,
     Source,
     check_source,
-    create_field,
     create_source,
     middle_of,
     point_function,
@@ -72,7 +71,7 @@ class ParameterTable(Followed):
             ValueError: on all ranks, if a parameter depends on u, another mesh or other points.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
-        self._names = names = list(named_parameters(materials[0]))
+        self.names = names = list(named_parameters(materials[0]))
         given = [
             (on, list(named_parameters(material).values()))
             for material, on in zip(materials, cells, strict=True)
@@ -102,18 +101,13 @@ class ParameterTable(Followed):
         super().__init__(function, sources)
         self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
-    def values(self, cells: Ints, points: int) -> SimpleNamespace:
+    def values(self, cells: Ints, points: int) -> dict[str, Floats]:
         """Parameters by name, (cells * points,) each."""
-        return grouped(self._by_name(self._table(cells, points)))
-
-    def _table(self, cells: Ints, points: int) -> Floats:
-        dofs = self.function.function_space.dofmap.list[cells]
-        table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
-        table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
-        return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
-
-    def _by_name(self, table: Floats) -> dict[str, Floats]:
-        return {name: table[:, i] for i, name in enumerate(self._names)}
+        dofmap = self.function.function_space.dofmap
+        table = self.function.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells]]
+        table = np.broadcast_to(table, (len(cells), points, dofmap.bs))
+        columns = table.reshape(len(cells) * points, dofmap.bs).T
+        return dict(zip(self.names, columns, strict=False))  # a law may have none
 
     def judge(self) -> None:
         """Raise a ValueError on all ranks if a parameter is out of range; collective."""
@@ -121,7 +115,7 @@ class ParameterTable(Followed):
         domain, points = V.mesh, V.dofmap.list.shape[1]
         size = domain.topology.index_map(domain.topology.dim).size_local
         owned = self._cells[self._cells < size]
-        values = self._by_name(self._table(owned, points))
+        values = self.values(owned, points)
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
             if len(owned):  # users' rules may fail on empty arrays
@@ -183,7 +177,7 @@ class Region:
             return {}
         where, q = f"{self.law.name}.output", len(cells) * points
         try:
-            found = self.law.output(state, self.parameters.values(cells, points))
+            found = self.law.output(state, grouped(self.parameters.values(cells, points)))
             fields = {name: np.asarray(f, dtype=float) for name, f in dict(found or {}).items()}
         except Exception as error:
             raise ValueError(
@@ -255,7 +249,7 @@ def create_state(
                     f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
                     f"{shape} in {region.law.name}; give one of them another name."
                 )
-    return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
+    return {name: point_function(domain, degree, shape, name) for name, shape in shapes.items()}
 
 
 def create_evaluations(

@@ -15,7 +15,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
@@ -25,11 +25,11 @@ from dolfinx_mortar.solid.sources import (
     Followed,
     Part,
     Source,
-    create_field,
     create_source,
     fill_all,
     follow_changed,
     point_function,
+    unchanged,
 )
 from dolfinx_mortar.tags import names_of
 
@@ -59,7 +59,10 @@ class PointFields:
         self._owned = self._mesh.topology.index_map(self._mesh.topology.dim).size_local
         self._points = stress.function_space.dofmap.list.shape[1]
         self._averages: dict[str, fem.Function] = {}
-        self._weights = _compile_weights(self._mesh, degree, weight)
+        Q = point_function(self._mesh, degree).function_space
+        factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(self._mesh)))
+        self._volume = fem.form(factor * ufl.TestFunction(Q) * measure(self._mesh, degree))
+        self._places = Q.dofmap.list[: self._owned]  # in its vector
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
@@ -83,25 +86,30 @@ class PointFields:
         """Names of all fields without single components."""
         norms = [
             f"{name}_{norm}"
-            for name, shape in self.bases.items()
-            if shape == (len(self._components),)
+            for name in self.bases
+            if self._is_tensor(name)
             for norm in ("norm", "vector_norm")
         ]
         aliases = [name for name, target in ALIASES.items() if target in norms]
         return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
 
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """`bases`, and fields that no law defines."""
+        size = (len(self._components),)
+        return {
+            name: size if is_tensor else () for name, is_tensor in PLASTIC_FIELDS.items()
+        } | self.bases
+
     @property
     def scalars(self) -> list[str]:
         """Names of all scalars, with norms and components of tensors."""
-        size = (len(self._components),)
-        missing = {name: size if tensor else () for name, tensor in PLASTIC_FIELDS.items()}
-        shapes = missing | self.bases
         parts = ("norm", "vector_norm", *self._components)
-        of_tensors = [
-            f"{n}_{part}" for n, shape in shapes.items() if shape == size for part in parts
+        tensors = [
+            f"{name}_{part}" for name in self._shapes if self._is_tensor(name) for part in parts
         ]
-        stored = [name for name, shape in shapes.items() if not shape]
-        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
+        stored = [name for name, shape in self._shapes.items() if not shape]
+        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *tensors]))
 
     def values(self, name: str) -> np.ndarray:
         """Field on the owned cells: (cells, points) or (cells, points, components).
@@ -132,16 +140,14 @@ class PointFields:
         return self._base(name)
 
     def _is_tensor(self, name: str) -> bool:
-        shape = self.bases.get(name, ())
-        return shape == (len(self._components),) or PLASTIC_FIELDS.get(name, False)
+        return self._shapes.get(name) == (len(self._components),)
 
     def _base(self, name: str) -> np.ndarray:
         if name in self._stored:
             return self._at_points(self._stored[name])
-        if name not in self.bases and name not in PLASTIC_FIELDS:
+        if name not in self._shapes:
             raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
-        missing = (len(self._components),) if PLASTIC_FIELDS.get(name) else ()
-        shape = self.bases.get(name, missing)
+        shape = self._shapes[name]
         result = np.zeros((self._owned, self._points, *shape))
         for region in self._regions:
             cells = region.cells[region.cells < self._owned]
@@ -173,8 +179,7 @@ class PointFields:
     @cached_property
     def weights(self) -> np.ndarray:
         """Integration weights (cells, points); their sum is the volume."""
-        form, places = self._weights
-        return np.asarray(fem.assemble_vector(form).array[places[: self._owned]])
+        return np.asarray(fem.assemble_vector(self._volume).array[self._places])
 
     def _values_everywhere(self, name: str) -> np.ndarray:
         """`values`, with errors of one rank raised on all; collective."""
@@ -213,15 +218,6 @@ class PointFields:
         average.x.array.reshape(-1, flat.shape[2])[dofs] = means
         average.x.scatter_forward()
         return average
-
-
-def _compile_weights(
-    domain: mesh.Mesh, degree: int, weight: Callable[[Any], Any]
-) -> tuple[fem.Form, Ints]:
-    """Form of the integration weights, and the cells' entries in its vector."""
-    Q = point_function(domain, degree).function_space
-    factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(domain)))
-    return fem.form(factor * ufl.TestFunction(Q) * measure(domain, degree)), Q.dofmap.list
 
 
 STORED, DISSIPATED = "stored_energy", "dissipated_energy"
@@ -291,15 +287,11 @@ class EnergyDensities:
         """
         fill_all(self._mesh.comm, self._sources)
         potential = self.stored.x.array.copy()
-        start = {name: f.x.array.copy() for name, f in committed.items()}
-        try:
+        with unchanged(committed.values()):
             for name, f in committed.items():
                 f.x.array[:] = staged[name].x.array
             follow()
             fill_all(self._mesh.comm, self._sources)
-        finally:
-            for name, values in start.items():
-                committed[name].x.array[:] = values
         lost = potential - self.stored.x.array
         staged[DISSIPATED].x.array[:] = committed[DISSIPATED].x.array + lost
         if self._of_volume is not None:
@@ -317,9 +309,9 @@ class EnergyDensities:
             tags = tags_of_cells(domain, named)[:owned]
         every = np.unique(np.concatenate(domain.comm.allgather(np.unique(tags))))
         sums = np.zeros((len(every), 2))
-        place = np.searchsorted(every, tags)
         for k, name in enumerate((STORED, DISSIPATED)):
-            np.add.at(sums[:, k], place, (fields.values(name) * fields.weights).sum(axis=1))
+            of_cells = (fields.values(name) * fields.weights).sum(axis=1)
+            sums[:, k] = np.bincount(np.searchsorted(every, tags), of_cells, len(every))
         domain.comm.Allreduce(MPI.IN_PLACE, sums)
         names = {} if named is None else {tag: name for name, tag in names_of(named).items()}
         keys = [names.get(int(tag), int(tag)) for tag in every]
@@ -347,9 +339,9 @@ class PointState:
         domain = regions[0].mesh
         self.committed = create_state(regions, domain, degree)
         if energies:
-            self.committed[DISSIPATED] = create_field(domain, degree, (), DISSIPATED)
+            self.committed[DISSIPATED] = point_function(domain, degree, (), DISSIPATED)
         self.staged = {name: f.copy() for name, f in self.committed.items()}
-        self.stress = create_field(domain, degree, (3, 3), "stress")
+        self.stress = point_function(domain, degree, (3, 3), "stress")
         self.shown: dict[str, fem.Function] = {}
         self.followed: list[Followed] = [region.parameters for region in regions]
         self.followed += [] if eigenstrain is None else [eigenstrain]
@@ -370,16 +362,10 @@ class PointState:
     def evaluate(self, follow: Callable[[], None]) -> None:
         """Evaluate stress and internal variables, or change nothing; collective."""
         fill_point_values(self._comm, self.found, at_end=True)
-        if self.densities is None:
+        with unchanged(self.lasting_fields().values(), on_error=True):
             fill_all(self._comm, self.evaluations)
-            return
-        kept = self.keep()
-        try:
-            fill_all(self._comm, self.evaluations)
-            self.densities.fill(self.committed, self.staged, follow)
-        except BaseException:
-            self.put_back(kept)
-            raise
+            if self.densities is not None:
+                self.densities.fill(self.committed, self.staged, follow)
 
     def commit(self) -> None:
         """Commit the internal variables of the last `evaluate`."""

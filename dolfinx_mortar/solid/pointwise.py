@@ -12,21 +12,27 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, jit
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
-from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
-from dolfinx_mortar.materials.protocol import Law, ungrouped
+from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
+from dolfinx_mortar.materials.protocol import Law, grouped
 from dolfinx_mortar.materials.response import (
     Response,
     respond,
     solve_normal_strain,
     values_at_points,
 )
-from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
+from dolfinx_mortar.materials.tensor import (
+    COMPONENTS,
+    GRADIENT,
+    INDEX,
+    stored,
+    tensor_of,
+    upper_triangle,
+)
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
+from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function, unchanged
 from ufl.core.expr import Expr
 
 
@@ -53,7 +59,7 @@ class PointValuesOfRegion(ABC):
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
-        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
+        self._inputs = [region.parameters.function, *self._committed.values(), *inputs]
         self._seen: list[Floats] = []
         self._create(strain, degree)
 
@@ -68,12 +74,16 @@ class PointValuesOfRegion(ABC):
     def fill(self) -> None:
         """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
-        if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
+        same = [*map(np.array_equal, now, self._seen)] or [False]
+        if not all(same):
+            self._seen = []  # invalid until the law succeeds
+            if not all(same[: 1 + len(self._committed)]):
+                self._begin()
             self._evaluate()
-            self._seen = self._copies(now)
+            self._seen = [values.copy() for values in now]
 
-    def _copies(self, now: list[Floats]) -> list[Floats]:
-        return [values.copy() for values in now]
+    def _begin(self) -> None:  # noqa: B027
+        """Prepare evaluations with the present parameters and committed state."""
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
         """Evaluate the values needed at the end of a step only; not collective."""
@@ -86,8 +96,11 @@ class PointValuesOfRegion(ABC):
             found[name] = tensor_of(values) if values.shape[1] > 1 else values[:, 0]
         return found
 
-    def _rows(self, f: fem.Function) -> Ints:
-        return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
+    def _rows(self, f: fem.Function) -> Ints | slice:
+        """Points of a Function, a slice (faster) if they are in order."""
+        rows = np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
+        in_order = rows.size and rows[-1] - rows[0] == rows.size - 1 and (np.diff(rows) == 1).all()
+        return slice(rows[0], rows[-1] + 1) if in_order else rows
 
     def _set(self, f: fem.Function, values: Floats) -> None:
         """Set a Function at the points from values or tensors (q, 3, 3)."""
@@ -95,51 +108,42 @@ class PointValuesOfRegion(ABC):
         values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
         f.x.array.reshape(-1, size)[self._rows(f)] = values
 
-    def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
-        return np.asarray(expression.eval(self._mesh, cells))
-
 
 class NormalStrain(PointValuesOfRegion):
     """The strain (stretch less 1) z in plane stress, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         region = self.region
-        self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
+        self.normal = point_function(self._mesh, degree, (), "strain_out_of_the_plane")
         committed = region.tensors(self._committed)
         with raised_together(self._mesh.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self.normal)
-        found = self.response.normal_strain
+        found, start = self.response.normal_strain, self.response.start
         if found is None:
             assert self.response.equation is not None
             found = ufl.as_vector(self.response.equation)
-        points = compat.interpolation_points(self.normal.function_space)
-        self._equation = fem.Expression(found, points)
-        start = self.response.start
-        self._start = None if start is None else fem.Expression(start, points)
+        name = f"{region.law.name}: the strain out of the plane"
+        self._equation = create_source(region.cells, Part(name, self.normal, found))
+        part = None if start is None else Part(name, self.normal, start)
+        self._start = None if part is None else create_source(region.cells, part)
 
     def _evaluate(self) -> None:
         assert self.normal is not None
-        cells, values = self.region.cells, self.normal.x.array
-        dofs = self.normal.function_space.dofmap.list[cells]
         if self.response.normal_strain is not None:
-            values[dofs] = self._evaluated(self._equation, cells).reshape(dofs.shape)
+            self._equation.fill()
             return
+        cells, values, law = self.region.cells, self.normal.x.array, self.region.law
+        dofs = self.normal.function_space.dofmap.list[cells]
 
         def equation(rows: Ints, z: Floats) -> Floats:
             values[dofs[rows]] = z
-            return self._evaluated(self._equation, cells[rows]).reshape(*z.shape, 4)
+            return self._equation.evaluate(cells[rows])[0]
 
-        before, law = values.copy(), self.region.law
-        finite, start = law.strain == "finite", None
-        if self._start is not None:
-            start = self._evaluated(self._start, cells).reshape(dofs.shape)
-        try:
+        start = None if self._start is None else self._start.evaluate()[0][..., 0]
+        with unchanged([self.normal], on_error=True):
             values[dofs] = solve_normal_strain(
-                law.name, equation, dofs.shape, finite=finite, start=start
+                law.name, equation, dofs.shape, finite=law.strain == "finite", start=start
             )
-        except ValueError:
-            values[:] = before
-            raise
 
 
 class PointwiseFields(PointValuesOfRegion):
@@ -153,11 +157,11 @@ class PointwiseFields(PointValuesOfRegion):
         self._entries = GRADIENT[d] if self._finite else INDEX[: len(COMPONENTS[d])]
         size = len(self._entries)
         self._stress = point_function(domain, degree, (size,))
-        self._tangent = point_function(domain, degree, (len(_pairs(size)),))
+        self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
-        points = compat.interpolation_points(self._stress.function_space)
-        self._strain = fem.Expression(self._wanted(strain), points)
+        part = Part(f"{law.name}: the strain", self._stress, self._wanted(strain))
+        self._strain = create_source(self.region.cells, part)
         self._new = {name: f.copy() for name, f in self._committed.items()}
         new, stress = self.region.tensors(self._new), self._tensor(list(self._stress))
         self.response = Response(stress, self._energy, new, self._change)
@@ -180,7 +184,7 @@ class PointwiseFields(PointValuesOfRegion):
         return ufl.as_tensor(rows)
 
     def _change(self, direction: Expr) -> Expr:
-        number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
+        number = {pair: k for k, pair in enumerate(upper_triangle(len(self._entries)))}
         sums = []
         for a in range(len(self._entries)):
             terms = []
@@ -195,13 +199,13 @@ class PointwiseFields(PointValuesOfRegion):
         region, (rows, columns) = self.region, np.array(self._entries).T
         points = self._stress.function_space.dofmap.list.shape[1]
         strain = np.zeros((len(region.cells) * points, 3, 3))
-        found = self._evaluated(self._strain, region.cells).reshape(-1, len(rows))
+        found = self._strain.evaluate()[0].reshape(-1, len(rows))
         strain[:, rows, columns] = found
         if self._finite:
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
         else:
             strain[:, columns, rows] = found
-        p = region.parameters.values(region.cells, points)
+        p = grouped(region.parameters.values(region.cells, points))
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         stress = answer.stress
@@ -241,30 +245,22 @@ class LogarithmicFields(PointwiseFields):
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
+        names, d = self.region.parameters.names, self._mesh.geometry.dim
         law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
-        self._start: tuple[list[Floats], Start] | None = None
-        self._gradients = np.zeros((0, 3, 3))
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
         """F - I, row by row: strains may be far below round-off of 1."""
-        u = self._inputs[0]
+        u = self._inputs[1 + len(self._committed)]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
 
     def _evaluate(self) -> None:
-        found = self._evaluated(self._strain, self.region.cells)
-        H = np.ascontiguousarray(found).reshape(-1, 3, 3)
-        start = self._start_of_step()
+        H = np.ascontiguousarray(self._strain.evaluate()[0]).reshape(-1, 3, 3)
         if self.normal is not None:
-            self._law.find_normal(start, H)
-        self._seen = []  # invalid until the law succeeds
-        functions = [self._stress, self._tangent]
-        functions += [] if self._energy is None else [self._energy]
-        P, A, *psi = targets = [self._table(f) for f in functions]
-        self._law.respond(start, H, P, A, psi[0][:, 0] if psi else np.empty(0))
+            self._law.find_normal(self._start, H)
+        P, A, psi = self._law.response(self._start, H)
         if not np.isfinite(P.sum() + A.sum()):
             F = H + np.eye(3)
             self._judge(np.asarray(np.linalg.det(F) <= 0.0), F, INSIDE_OUT)
@@ -273,45 +269,26 @@ class LogarithmicFields(PointwiseFields):
         if self.normal is not None:
             self._law.condense(P, A)
             self._set(self.normal, H[:, 2, 2])
-        for f, values in zip(functions, targets, strict=True):
-            if values.base is None:
-                self._set(f, values)
+        self._set(self._stress, P)
+        self._set(self._tangent, A)
+        if self._energy is not None:
+            self._set(self._energy, psi)
         self._gradients = H
-
-    def _table(self, f: fem.Function) -> Floats:
-        """Storage (q, components), a view if points are in order."""
-        rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
-        if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
-            return np.asarray(table[rows[0] : rows[0] + len(rows)])
-        return np.empty((len(rows), table.shape[1]))
-
-    def _copies(self, now: list[Floats]) -> list[Floats]:
-        assert self._start is not None
-        kept = self._start[0]
-        return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
 
     def settle(self) -> None:
         """Evaluate the internal variables at the end of the step."""
-        new = self._law.update(self._start_of_step(), self._gradients)
+        new = self._law.update(self._start, self._gradients, self._state())
         for name, f in self._new.items():
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Error of the stress (q,), see `LogarithmicLaw`; zero without memory."""
-        if not self.region.law.state:
-            return np.zeros(0)
-        return self._law.stress_lost(self._start_of_step(), self._gradients)
+        """Error of the stress (q,), see `LogarithmicLaw`."""
+        return self._law.stress_lost(self._start, self._gradients)
 
-    def _start_of_step(self) -> Start:
-        functions = [*self._committed.values(), self.region.parameters.function]
-        now = [f.x.array for f in functions]
-        if self._start is None or not all(map(np.array_equal, now, self._start[0])):
-            cells = self.region.cells
-            points = self._stress.function_space.dofmap.list.shape[1]
-            p = ungrouped(self.region.parameters.values(cells, points))
-            start = self._law.start(len(cells) * points, self._state(), p)
-            self._start = [values.copy() for values in now], start
-        return self._start[1]
+    def _begin(self) -> None:
+        q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
+        p = self.region.parameters.values(self.region.cells, points)
+        self._start = self._law.start(q * points, self._state(), p)
 
 
 def create_point_values(
@@ -358,23 +335,21 @@ def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
 def largest_stress_lost(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
 ) -> tuple[float, str]:
-    """Largest `LogarithmicFields.stress_lost`, and its law; collective."""
-    parts = [values for values in found.values() if isinstance(values, LogarithmicFields)]
-    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
+    """Largest `LogarithmicFields.stress_lost` of laws with memory, and its law; collective."""
+    kinds = [values for law, values in found.items() if law.state and not law.isotropic]
+    parts = [values for values in kinds if isinstance(values, LogarithmicFields)]
     if not parts:
         return 0.0, ""
+    fill_point_values(comm, found)
+    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
     shares = maximum(comm, *local)
     worst = int(np.argmax(shares))
     return float(shares[worst]), parts[worst].region.law.name
 
 
-def _pairs(size: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(size) for j in range(i, size)]
-
-
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
-    a, b = np.array(_pairs(len(entries))).T
+    a, b = np.array(upper_triangle(len(entries))).T
     at = np.array(entries) @ [3, 1]
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))

@@ -40,6 +40,7 @@ from dolfinx_mortar.solid.points import (
     PointState,
 )
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
+from dolfinx_mortar.solid.sources import unchanged
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
@@ -311,7 +312,8 @@ class Solid(Term):
     def commit(self) -> None:
         """Commit the internal variables of the last `evaluate`."""
         self.points.commit()
-        self.forms.committed.keep()
+        self.forms.committed.forget()
+        self.forms.committed.complete()
 
     def energies(self) -> dict[int | str, Energies]:
         """Energy stored in each body, and dissipated since the start; collective.
@@ -378,12 +380,9 @@ def flows_at_start(solid: Solid) -> bool:
     solid.follow()
     if not any_rank(solid.mesh.comm, solid.forms.committed.differ())[0]:
         return False
-    kept = solid.points.keep()
-    try:
+    with unchanged(solid.points.lasting_fields().values()):
         solid.evaluate()
         return bool(any_rank(solid.mesh.comm, solid.points.flowing().any())[0])
-    finally:
-        solid.points.put_back(kept)
 
 
 def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:

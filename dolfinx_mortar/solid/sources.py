@@ -2,7 +2,8 @@
 """Functions at points of the bodies, and the expressions that fill them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,12 +33,6 @@ class Part:
     components: slice = slice(None)
 
     @property
-    def table(self) -> Floats:
-        """Values (points, components) of the Function, writable."""
-        rows = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
-        return rows[:, self.components]
-
-    @property
     def entries(self) -> list[Expr]:
         """Components of the value."""
         value = self.value
@@ -46,41 +41,31 @@ class Part:
 
 @dataclass(frozen=True)
 class Source:
-    """Values in some cells, filled by one expression."""
+    """Values in some cells, given by one expression."""
 
     parts: Sequence[Part]
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
     inputs: tuple[Any, ...]
 
-    @property
-    def _space(self) -> fem.FunctionSpace:
-        return self.parts[0].function.function_space
-
-    @property
-    def dofs(self) -> Ints:
-        """Points (cells, points): rows of the tables."""
-        return np.asarray(self._space.dofmap.list[self.cells])
-
-    def evaluate(self, cells: Ints) -> Floats:
-        """Values (cells, points, components); not collective."""
-        values = np.asarray(self.expression.eval(self._space.mesh, cells))
-        points = self._space.dofmap.list.shape[1]
+    def evaluate(self, cells: Ints | None = None) -> list[Floats]:
+        """Values (cells, points, components) of each part; not collective."""
+        cells = self.cells if cells is None else cells
+        space = self.parts[0].function.function_space
+        values = np.asarray(self.expression.eval(space.mesh, cells))
+        ends = np.cumsum([len(part.entries) for part in self.parts])
         # dolfinx 0.9 has points and components on one axis, 0.11 on two
-        return values.reshape(len(cells), points, sum(part.table.shape[1] for part in self.parts))
+        values = values.reshape(len(cells), space.dofmap.list.shape[1], ends[-1])
+        return np.split(values, ends[:-1], axis=-1)
 
-    def fill(self) -> None:
-        """Evaluate the expression into the Functions; not collective."""
-        dofs, tables = self.dofs, [part.table for part in self.parts]
-        ends = np.cumsum([table.shape[1] for table in tables])
-        columns = np.split(self.evaluate(self.cells), ends[:-1], axis=-1)
-        for table, of_part in zip(tables, columns, strict=True):
-            table[dofs] = of_part
-
-    def undefined(self) -> list[int]:
-        """Number of NaN or infinite points of each part."""
-        at = [part.table[self.dofs] for part in self.parts]
-        return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
+    def fill(self) -> list[float]:
+        """Fill the Functions; return the numbers of undefined points; not collective."""
+        found = self.evaluate()
+        for part, values in zip(self.parts, found, strict=True):
+            dofmap = part.function.function_space.dofmap
+            table = part.function.x.array.reshape(-1, dofmap.bs)[:, part.components]
+            table[dofmap.list[self.cells]] = values
+        return [float(np.sum(~np.isfinite(values).all(axis=-1))) for values in found]
 
     def numbers(self) -> list[Floats]:
         """Values of the inputs."""
@@ -108,19 +93,26 @@ def create_source(cells: Ints, *parts: Part) -> Source:
 
 
 def point_function(
-    domain: mesh.Mesh, degree: int, size: tuple[int, ...] = (), name: str | None = None
+    domain: mesh.Mesh, degree: int, shape: tuple[int, ...] = (), name: str | None = None
 ) -> fem.Function:
-    """Create a Function of scalars or vectors at quadrature points."""
+    """Create a Function of scalars, vectors or stored (3, 3) tensors at quadrature points."""
+    size = (len(COMPONENTS[domain.geometry.dim]),) if shape == (3, 3) else shape
     element = basix.ufl.quadrature_element(
         domain.basix_cell(), value_shape=size, scheme="default", degree=degree
     )
     return fem.Function(fem.functionspace(domain, element), name=name)
 
 
-def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
-    """Create a quadrature Function of shape () or (3, 3)."""
-    size = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
-    return point_function(domain, degree, size, name)
+@contextmanager
+def unchanged(functions: Iterable[fem.Function], *, on_error: bool = False) -> Iterator[None]:
+    """Restore Functions after a block, or only after one that fails; not collective."""
+    kept = [(f, f.x.array.copy()) for f in functions]
+    try:
+        yield
+        kept = [] if on_error else kept
+    finally:
+        for f, values in kept:
+            f.x.array[:] = values
 
 
 def middle_of(domain: mesh.Mesh, cell: int) -> str:
@@ -161,14 +153,10 @@ class Followed(ABC):
         Raises:
             ValueError: on all ranks, for invalid values; all are then unchanged.
         """
-        before = self.function.x.array.copy()
-        for source in self._sources:
-            source.fill()
-        try:
+        with unchanged([self.function], on_error=True):
+            for source in self._sources:
+                source.fill()
             self.judge()
-        except ValueError:
-            self.function.x.array[:] = before
-            raise
         self._seen = [n.copy() for source in self._sources for n in source.numbers()]
 
     @abstractmethod
@@ -192,26 +180,13 @@ def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
 
 
 def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Evaluate all expressions; an error changes no Function; collective.
+    """Evaluate all expressions; collective.
 
     Raises:
         ValueError: on all ranks, naming a law that gives NaN or infinity on any.
     """
-    filled = {part.function for source in evaluations for part in source.parts}
-    before = {f: f.x.array.copy() for f in filled}
-    try:
-        for evaluation in evaluations:
-            evaluation.fill()
-        _check_defined(comm, evaluations)
-    except BaseException:
-        for f, values in before.items():
-            f.x.array[:] = values
-        raise
-
-
-def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
     names = [part.name for source in evaluations for part in source.parts]
-    found = [float(count) for source in evaluations for count in source.undefined()]
+    found = [count for source in evaluations for count in source.fill()]
     for name, count in zip(names, maximum(comm, *found), strict=True):
         if count:
             raise ValueError(

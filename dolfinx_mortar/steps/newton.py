@@ -16,6 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar import qp as backends
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import Floats
@@ -110,7 +111,8 @@ def solve_step(
     linear: LinearSolver | None = None,
 ) -> StepReport:
     """Solve one load step with an overlap that may remain at the end; see `newton`; collective."""
-    problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
+    given = {"qp": qp, "rtol": rtol, "max_it": max_it, "level": level}
+    check_same_on_all_ranks(problem.comm, **given, **problem.inputs)
     check_controls(qp, rtol, max_it)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
@@ -254,7 +256,7 @@ class _Step:
             scales = replace(scales, first=self.first_forces(lin))
         residual = self.residual(balance, contacts, lin.diagonal, scales, norm)
         self.report.quote(number, solved.note or found.rejected)
-        self.report.note_friction(number, solved.linearisation)
+        self.report.friction = "" if lin.qp.friction is None else "exact linearisation"
         self.report.iterations.append(
             Iteration(
                 number=number,

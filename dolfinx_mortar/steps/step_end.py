@@ -14,11 +14,9 @@ from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import check_tightening
 from dolfinx_mortar.qp.linear import LinearSolveFailed
-from dolfinx_mortar.report.certificate import create_certificate, find_pull, set_results
-from dolfinx_mortar.report.notes import StepEnd, find_notes
-from dolfinx_mortar.report.penetration import find_overlaps
+from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
+from dolfinx_mortar.report.notes import find_notes
 from dolfinx_mortar.report.reaction import support_forces
-from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.step_report import Note, StepReport
 
 
@@ -41,16 +39,11 @@ def finish(
     if (limits := iterate.balance.limits) is not None:
         noise = gap_round_off(problem.u)
         sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-    left_out, overlaps = find_left_out(problem), find_overlaps(problem)
     stiffness = iterate.stiffness.array_r
-    pull = find_pull(problem, contacts, residual.limit)
-    how = overlap, left_out, overlaps, pull, report.rtol, residual.limit
-    end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
+    end = StepEnd(problem, report, iterate.balance, contacts, residual, stiffness, overlap)
     negative = iterate.negative or _ends_indefinite(qps, report)
     report.notes += find_notes(end) + _notes_on_shifts(problem, report, negative)
-    report.certificate = create_certificate(
-        problem, report, contacts, residual, balances, sliders, left_out, overlaps, pull
-    )
+    report.certificate = create_certificate(end, balances, sliders)
     problem.raise_failed()
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired_at

@@ -28,6 +28,7 @@ from dolfinx_mortar.steps.ramp import read_ramps
 from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
 from dolfinx_mortar.terms.inertia import (
     IMPLICIT,
+    MOTION,
     NEWMARK,
     Damping,
     Inertia,
@@ -101,9 +102,9 @@ class TimeSolves(Solves):
         nodes = mass.massless | on_sides
         if not any_rank(problem.comm, nodes.any())[0]:
             return forces
-        names, scheme = ("velocity", "acceleration", "balance"), inertia.scheme
-        before = {name: inertia.values(name).copy() for name in names}
-        inertia.put(**dict.fromkeys(names, np.zeros_like(mass.X)))
+        scheme = inertia.scheme
+        before = {name: inertia.values(name).copy() for name in MOTION}
+        inertia.put(**dict.fromkeys(MOTION, np.zeros_like(mass.X)))
         inertia.scheme = IMPLICIT
         part = begin + QUARTER_OF_DIGITS * (level.time - begin)
         try:
@@ -339,5 +340,10 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
     for name, term in problem.terms.named:
         if isinstance(term, Damping) and term.inertia is not inertia:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
-    inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
+    same = np.array_equal(inertia.contact, problem.system.can_open[: problem.n])
+    if any_rank(problem.comm, not same)[0]:
+        raise ValueError(
+            "problem: its Inertia is also in a problem that was made later with other contacts or "
+            "ties, and has the mass of that one: make an Inertia for each problem"
+        )
     return found

@@ -249,9 +249,9 @@ def walk(
 def _idle(solves: Solves, loading: Loading) -> list[str]:
     if loading.on_time is not None:
         return []
-    problem, of_heat = solves.problem, solves.heat and find_constants(solves.heat.given)
-    read = problem.constants()
-    notes = notes_on_unread(loading.ramps, read and read + (of_heat or []))
+    problem, heat = solves.problem, solves.heat
+    read = find_constants([problem.inputs, None if heat is None else heat.given])
+    notes = notes_on_unread(loading.ramps, read)
     if problem.comm.rank == 0:
         for note in notes:
             log.warning("%s", note)

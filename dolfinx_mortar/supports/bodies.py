@@ -24,6 +24,7 @@ from dolfinx_mortar.arrays import (
     Floats,
     Ints,
 )
+from dolfinx_mortar.interfaces.coupling import Sides
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 from dolfinx_mortar.spaces import connected_parts
 
@@ -143,12 +144,12 @@ def find_bodies(
     return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 
-def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Bodies grouped by ties, given masks (local nodes,) of their sides; collective."""
-    n = len(bodies.label)
-    touched = np.zeros((len(sides), bodies.count))
-    for k, (slave, master) in enumerate(sides):
-        touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
+def with_ties(bodies: Bodies, sides: Sequence[Sides]) -> Bodies:
+    """Bodies grouped by the ties among sides of interfaces; collective."""
+    n, ties = len(bodies.label), [side for side in sides if not side.unilateral and side.master]
+    touched = np.zeros((len(ties), bodies.count))
+    for k, tie in enumerate(ties):
+        touched[k, bodies.label[(tie.on_slave | tie.on_master)[:n]]] = 1.0
     touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)
     _, group = scipy.sparse.csgraph.connected_components(touched.T @ touched, directed=False)
     return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))
@@ -170,33 +171,22 @@ def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
     return [motion for _, _, motion in whole.rigid_modes()]
 
 
-def free_motions(
+def find_free(
     bodies: Bodies,
     constraints: Sequence[Motion],
     contacts: Sequence[Motion] = (),
     facets: Sequence[Motion] = (),
-) -> list[str]:
-    """Name the rigid-body modes that no constraint resists; collective.
+) -> tuple[list[str], list[str]]:
+    """Names of the rigid-body modes that no constraint resists, with and without contacts.
+
+    Motions of single bodies where possible, then of several together, then sums; collective.
 
     Args:
         constraints: linear functions of a displacement vector that return constrained displacements
             (any number on each rank).
         contacts: such functions of contacts, as if they were bilateral.
         facets: such functions of resistance only by facets of a curved side, as of a spinning pin.
-
-    Returns:
-        Motions of single bodies where possible, then of several together, then sums.
     """
-    return find_free(bodies, constraints, contacts, facets)[0]
-
-
-def find_free(
-    bodies: Bodies,
-    constraints: Sequence[Motion],
-    contacts: Sequence[Motion],
-    facets: Sequence[Motion],
-) -> tuple[list[str], list[str]]:
-    """Names of `free_motions`, with and without contacts; collective."""
     modes = bodies.rigid_modes()
     if not modes:
         return [], []

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Dirichlet conditions as marks and values of dofs."""
+"""Dirichlet conditions as marks and values of dofs; those of an axis of rotation."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -10,6 +12,9 @@ from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.interfaces.coupling import Sides
+from dolfinx_mortar.solid.kinematics import on_axis
+from dolfinx_mortar.solid.solid import Solid
 
 
 def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Bools:
@@ -47,25 +52,6 @@ def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
             f"bcs holds a condition on V.sub({component[0]}) at dofs of other components: locate "
             f"its dofs on V.sub({component[0]}), not on V"
         )
-
-
-def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Floats:
-    """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
-    d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
-    values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
-    for bc in bcs:
-        bc.set(values)
-        known[bc.dof_indices()[0]] = 1.0
-    shared = la.vector(layout, 2 * d)
-    table = shared.array.reshape(-1, 2 * d)
-    table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
-    shared.scatter_reverse(la.InsertMode.add)
-    own = slice(None, d * layout.size_local)
-    total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
-    # the owner's value is exact; else the mean of the others'
-    target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
-    _check_unique(V, bcs, target)
-    return target
 
 
 def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
@@ -115,8 +101,23 @@ class Dirichlet:
         return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
 
     def values(self) -> Floats:
-        """Prescribed values at owned dofs, 0 where free; collective."""
-        return prescribed_values(self.V, self.bcs)
+        """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
+        V, bcs = self.V, self.bcs
+        d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
+        values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
+        for bc in bcs:
+            bc.set(values)
+            known[bc.dof_indices()[0]] = 1.0
+        shared = la.vector(layout, 2 * d)
+        table = shared.array.reshape(-1, 2 * d)
+        table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
+        shared.scatter_reverse(la.InsertMode.add)
+        own = slice(None, d * layout.size_local)
+        total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
+        # the owner's value is exact; else the mean of the others'
+        target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
+        _check_unique(V, bcs, target)
+        return target
 
     def warnings(self) -> list[str]:
         """Warning for each condition without dofs; collective."""
@@ -143,3 +144,47 @@ def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirich
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
     return supports
+
+
+def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
+    """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
+
+    A radial displacement there makes u_r / r infinite, or merely large on a mesh.
+    """
+    V, i = solid.V, solid.kinematics.radius
+    if i is None:
+        return
+    axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates())
+    free = axis[: len(supports.owned)] & ~supports.owned[:, i]
+    missing = V.mesh.comm.allreduce(int(np.sum(free)), op=MPI.SUM)
+    if missing:
+        raise ValueError(
+            f"bcs: {missing} nodes on the axis r = 0 are not held in r, where u_r / r has no limit "
+            f"otherwise; prescribe 0 on V.sub({i}) at the nodes with x[{i}] = 0"
+        )
+    for side in sides:
+        for surface, name in zip(side.surfaces, ("slave", "master"), strict=False):
+            flat = axis[surface.nodes[surface.facets]].all(axis=1)
+            bad = V.mesh.comm.allreduce(int(np.sum(flat)), op=MPI.SUM)
+            if bad:
+                raise ValueError(
+                    f"{name}={surface.label}: {bad} facets lie on the axis r = 0, which is inside "
+                    "the body; leave them out of the tag"
+                )
+
+
+def check_targets(solid: Solid, target: Floats) -> None:
+    """Raise a ValueError on all ranks for values (dofs,) that leave the axis; collective."""
+    V, i = solid.V, solid.kinematics.radius
+    if i is None:
+        return
+    radial = target.reshape(-1, V.dofmap.index_map_bs)[:, i]
+    axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates()[: len(radial)])
+    largest = float(maximum(V.mesh.comm, np.abs(target).max(initial=0.0))[0])
+    leaving = axis & (np.abs(radial) > ROUND_OFF * largest)  # round-off of interpolation
+    moved = V.mesh.comm.allreduce(int(np.sum(leaving)), op=MPI.SUM)
+    if moved:
+        raise ValueError(
+            f"bcs: {moved} nodes on the axis r = 0 are prescribed to leave it, which opens a hole "
+            f"in the body; prescribe 0 on V.sub({i}) there"
+        )

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from mpi4py import MPI
@@ -45,6 +46,10 @@ def has_square(dt: float) -> bool:
     return 0.0 < dt * dt < np.inf
 
 
+MOTION = "velocity", "acceleration", "balance"
+FORCES = "contact", "friction", "supports", "load", "damping"
+"""Names of the state: the motion, G in the balance M a = G, and its parts."""
+
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
@@ -78,15 +83,6 @@ def generalised_alpha(radius: float) -> Scheme:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Velocity, acceleration and forces at a time, (owned nodes, d) each."""
-
-    velocity: Floats
-    acceleration: Floats
-    balance: Floats  # G
-
-
-@dataclass(frozen=True)
 class Start:
     """Data at the start of a step."""
 
@@ -95,6 +91,8 @@ class Start:
     predicted: Floats  # p
     constant: Floats  # g
     kappa: float
+    velocity: Floats  # q of the velocity q + rate (u - p) at the end
+    rate: float
 
 
 class Inertia(Term):
@@ -107,6 +105,7 @@ class Inertia(Term):
 
     Attributes:
         scheme: of the steps; `time_steps` sets it.
+        velocity, acceleration: Functions on ``solid.V`` at the end of the last step.
 
     Args:
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
@@ -123,6 +122,8 @@ class Inertia(Term):
     """
 
     linear = True
+    state: Mapping[str, fem.Function] = MappingProxyType({})
+    identity: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -139,59 +140,31 @@ class Inertia(Term):
         if not callable(velocity):
             given["velocity"] = velocity
         check_same_on_all_ranks(V.mesh.comm, **given)
-        with raised_together(V.mesh.comm):
-            read_numbers(density)
-        rho = create_density(solid, density, cell_tags)
+        self.comm = V.mesh.comm
+        with raised_together(self.comm):
+            numbers = read_numbers(density)
+        by_tag = {str(tag): rho for tag, rho in sorted(numbers.items(), key=str)}
+        self.identity = {"density": numbers.get(None, by_tag)}
+        rho = create_density(solid, numbers, cell_tags)
         weight = ufl.as_ufl(solid.kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
         self.solid, self.scheme = solid, NEWMARK
-        self._identity = {"density": numbers_of(density)}
         self.plain = self.mass = assemble_mass(V, rho, weight)
-        self._state = {
-            name: fem.Function(V, name=name)
-            for name in (
-                "velocity",
-                "acceleration",
-                "balance",
-                "contact",
-                "friction",
-                "load",
-                "damping",
-            )
-        }
+        self.state = {name: fem.Function(V, name=name) for name in (*MOTION, *FORCES)}
+        self.velocity, self.acceleration = (self.state[name] for name in MOTION[:2])
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
-        self._end: Motion | None = None
+        self._end: dict[str, Floats] | None = None
         self._added: tuple[int, float] | None = None
-        self._met: tuple[Bools, Ints] | None = None  # of the last `meet`
-
-    @property
-    def state(self) -> Mapping[str, fem.Function]:
-        """Velocity, acceleration, and forces at the last commit."""
-        return self._state
-
-    @property
-    def identity(self) -> Mapping[str, Any]:
-        """The density."""
-        return self._identity
-
-    @property
-    def velocity(self) -> fem.Function:
-        """Velocity at the end of the last step, on ``solid.V``."""
-        return self._state["velocity"]
-
-    @property
-    def acceleration(self) -> fem.Function:
-        """Acceleration at the end of the last step, on ``solid.V``."""
-        return self._state["acceleration"]
+        self.contact: Bools = np.zeros(0, dtype=bool)  # of the last `meet`
 
     def values(self, name: str) -> Floats:
         """A part of the state, (owned nodes, d)."""
-        return self._owned(self._state[name])
+        return self._owned(self.state[name])
 
     def put(self, **values: Floats) -> None:
         """Set parts of the state, (owned nodes, d); collective."""
         for name, given in values.items():
-            f = self._state[name]
+            f = self.state[name]
             f.x.array[: given.size] = given.ravel()
             f.x.scatter_forward()
 
@@ -203,16 +176,7 @@ class Inertia(Term):
         """Remove the mass from contact nodes (owned nodes,); collective."""
         self.mass = relieve(self.plain, contact, body)
         self.couplings = self.mass.couplings(self.plain.matrix)
-        self._added, self._met = None, (contact.copy(), body.copy())
-
-    def check_met(self, contact: Bools, body: Ints) -> None:
-        """Raise a ValueError for other arguments than in `meet`; collective."""
-        same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
-        if any_rank(self.comm, not same)[0]:
-            raise ValueError(
-                "problem: its Inertia is also in a problem that was made later with other "
-                "contacts or ties, and has the mass of that one: make an Inertia for each problem"
-            )
+        self._added, self.contact = None, contact.copy()
 
     def begin(self, start: float, end: float) -> None:
         """Prepare a step from `start` to `end`; a ValueError unless end > start."""
@@ -223,14 +187,16 @@ class Inertia(Term):
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
+        velocity, rate = v + dt * (1.0 - s.gamma) * a, s.gamma / (s.beta * dt)
         predicted = self._owned(self.solid.u) + dt * v + dt**2 * (0.5 - s.beta) * a
         constant = as_floats((s.am * mass.times(a) - s.af * self.values("balance")) / (1.0 - s.af))
         kappa = (1.0 - s.am) / ((1.0 - s.af) * s.beta * dt**2)
-        self._start, self._end = Start(dt, s, predicted, constant, kappa), None
+        self._start = Start(dt, s, predicted, constant, kappa, velocity, rate)
+        self._end = None
 
     def stride(self) -> float:
         """Largest component of u - p on this rank."""
-        return float(np.abs(self._change).max(initial=0.0))
+        return float(np.abs(self.change).max(initial=0.0))
 
     @property
     def start(self) -> Start:
@@ -240,14 +206,20 @@ class Inertia(Term):
         return self._start
 
     @property
-    def _change(self) -> Floats:
+    def moves(self) -> bool:
+        """Whether a step has begun."""
+        return self._start is not None
+
+    @property
+    def change(self) -> Floats:
+        """Displacement u - p (owned nodes, d)."""
         return self._owned(self.solid.u) - self.start.predicted
 
     def energy(self) -> Floats:
         """Addends of Pi(u) on this rank; 0 before any step."""
         if self._start is None:
             return np.zeros(1)
-        w = self._change
+        w = self.change
         squares = 0.5 * self._start.kappa * w * self.mass.times(w)
         return np.concatenate([squares, self._start.constant * self._owned(self.solid.u)]).ravel()
 
@@ -255,7 +227,7 @@ class Inertia(Term):
         """Add kappa M (u - p) + g."""
         if self._start is None:
             return
-        forces = self._start.kappa * self.mass.times(self._change) + self._start.constant
+        forces = self._start.kappa * self.mass.times(self.change) + self._start.constant
         F.array_w[:] += forces.ravel()
 
     def add_tangent(self, K: PETSc.Mat) -> None:
@@ -268,27 +240,25 @@ class Inertia(Term):
         """Whether a matrix was assembled with another kappa."""
         return self._added != (K.handle, self.start.kappa)
 
-    def end(self) -> Motion:
-        """Motion at the end of the step, at the present u; collective."""
+    def end(self) -> dict[str, Floats]:
+        """Velocity, acceleration and balance G at the present u, (owned nodes, d); collective."""
         start, s, mass = self.start, self.start.scheme, self.mass
-        before, a_n = mass.extend(self.values("velocity")), self.values("acceleration")
-        a = mass.extend(as_floats(self._change / (s.beta * start.dt**2)))
-        v = before + start.dt * ((1.0 - s.gamma) * a_n + s.gamma * a)
+        change, a_n = mass.extend(self.change), self.values("acceleration")
+        a = change / (s.beta * start.dt**2)
         mean = mass.times((1.0 - s.am) * a + s.am * a_n)
         balance = (mean - s.af * self.values("balance")) / (1.0 - s.af)
-        return Motion(v, a, as_floats(balance))
+        ends = start.velocity + start.rate * change, a, balance
+        return {name: as_floats(values) for name, values in zip(MOTION, ends, strict=True)}
 
-    def finish(self, motion: Motion) -> None:
-        """Set the motion to be committed instead of that of `end`."""
-        self._end = motion
+    def finish(self, **state: Floats) -> None:
+        """Set the state to be committed instead of `end`."""
+        self._end = state
 
     def commit(self) -> None:
         """Commit the motion at the end of a step; collective."""
-        if self._start is None:
-            return
-        end = self._end or self.end()
-        self.put(velocity=end.velocity, acceleration=end.acceleration, balance=end.balance)
-        self._start = self._end = None
+        if self.moves:
+            self.put(**(self._end or self.end()))
+        self.roll_back()
 
     def roll_back(self) -> None:
         """Discard the step."""
@@ -296,10 +266,7 @@ class Inertia(Term):
 
     def kinetic_energy(self) -> float:
         """Return 1/2 v.M v; collective."""
-        return self.energy_of(self.values("velocity"))
-
-    def energy_of(self, velocity: Floats) -> float:
-        """1/2 v.M v of a velocity (owned nodes, d); collective."""
+        velocity = self.values("velocity")
         return 0.5 * self.sum((velocity * self.mass.times(velocity)).sum())
 
     def momentum(self) -> Floats:
@@ -315,17 +282,10 @@ class Inertia(Term):
         x = self.mass.X - (0.0 if about is None else np.asarray(about, dtype=float))
         if self.solid.strain == "finite":
             x = x + self._owned(self.solid.u)
-        moments = self.mass.times(self.values("velocity"))
-        if x.shape[1] == 2:
-            total = np.array([(x[:, 0] * moments[:, 1] - x[:, 1] * moments[:, 0]).sum()])
-        else:
-            total = np.cross(x, moments).sum(axis=0)
-        return np.asarray(self.comm.allreduce(total, op=MPI.SUM))
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """The ranks."""
-        return self.solid.mesh.comm
+        moments, d = self.mass.times(self.values("velocity")), x.shape[1]
+        arms, moments = (np.pad(values, ((0, 0), (0, 3 - d))) for values in (x, moments))
+        total = self.comm.allreduce(np.cross(arms, moments).sum(axis=0), op=MPI.SUM)
+        return np.asarray(total[2:] if d == 2 else total)
 
     def sum(self, share: float | np.floating[Any]) -> float:
         """Sum over all ranks; collective."""
@@ -367,20 +327,10 @@ class Damping(Term):
                 "would brake rotations: use mass=, or the numerical damping of time_steps(.., "
                 "spectral_radius=)"
             )
-        self._inertia, self._mass, self._stiffness = inertia, float(mass), float(stiffness)
+        self.inertia, self.shares = inertia, [float(mass), float(stiffness)]
         self._K = solid.create_matrix()
         self._K.zeroEntries()
-        solid.forms.add_elastic(self._K, self._stiffness)
-
-    @property
-    def inertia(self) -> Inertia:
-        """The inertia of the damped bodies."""
-        return self._inertia
-
-    @property
-    def shares(self) -> list[float]:
-        """Factors a and b."""
-        return [self._mass, self._stiffness]
+        solid.forms.add_elastic(self._K, float(stiffness))
 
     def times(self, velocity: Floats) -> Floats:
         """Return C v, (owned nodes, d); collective."""
@@ -388,85 +338,62 @@ class Damping(Term):
         x.array[:] = velocity.ravel()
         self._K.mult(x, y)
         elastic = y.array_r.reshape(velocity.shape)
-        return np.asarray(self._mass * self._inertia.mass.times(velocity) + elastic)
-
-    def _rate(self) -> tuple[float, Floats]:
-        """Return r and v' of the velocity r (u - u_n) + v'."""
-        inertia, start = self._inertia, self._inertia.start
-        s = start.scheme
-        rate = s.gamma / (s.beta * start.dt)
-        v = inertia.mass.extend(inertia.values("velocity"))
-        constant = v + start.dt * (1.0 - s.gamma) * inertia.values("acceleration")
-        return rate, constant - rate * start.predicted
+        return np.asarray(self.shares[0] * self.inertia.mass.times(velocity) + elastic)
 
     def velocity(self) -> Floats:
         """Velocity at the end of the step."""
-        rate, constant = self._rate()
-        u = self._inertia.solid.u.x.array[: constant.size].reshape(constant.shape)
-        return np.asarray(rate * u + constant)
-
-    @property
-    def _moves(self) -> bool:
-        return self._inertia._start is not None
+        start = self.inertia.start
+        return np.asarray(start.velocity + start.rate * self.inertia.change)
 
     def energy(self) -> Floats:
         """Addends of |v|^2_C / (2 r), whose derivative is C v."""
-        if not self._moves:
+        if not self.inertia.moves:
             return np.zeros(1)
         v = self.velocity()
-        return np.asarray((0.5 / self._rate()[0] * v * self.times(v)).ravel())
+        return np.asarray((0.5 / self.inertia.start.rate * v * self.times(v)).ravel())
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add C v; collective."""
-        if self._moves:
+        if self.inertia.moves:
             F.array_w[:] += self.times(self.velocity()).ravel()
 
     def varies(self, K: PETSc.Mat) -> bool:
         """Whether a matrix was assembled with another r."""
-        return self._inertia.varies(K)
+        return self.inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add r C; collective."""
-        if self._moves:
-            rate = self._rate()[0]
-            self._inertia.mass.add_to(K, rate * self._mass)
-            self._inertia.solid.forms.add_elastic(K, rate * self._stiffness)
+        if self.inertia.moves:
+            a, b = (self.inertia.start.rate * share for share in self.shares)
+            self.inertia.mass.add_to(K, a)
+            self.inertia.solid.forms.add_elastic(K, b)
 
 
-def read_numbers(density: Any) -> None:
-    """Raise a ValueError unless densities are positive numbers or Constants."""
-    several = density.items() if isinstance(density, Mapping) else [(None, density)]
+def read_numbers(density: Any) -> dict[Any, float]:
+    """Densities by tag, of None if there is one; a ValueError unless they are positive."""
+    several = density if isinstance(density, Mapping) else {None: density}
     remedy = (
         "give a positive number, mass per volume in the units of the model (N, mm, s: tonnes per "
         "mm^3, 7.85e-9 for steel), or one by tag of cells"
     )
-    for key, given in several:
+    found = {}
+    for key, given in several.items():
         name = "density" if key is None else f"density of {key!r}"
-        check(f"Inertia: {name}", _value(given), POSITIVE, remedy)
+        constant = isinstance(given, fem.Constant) and given.value.shape == ()
+        value = float(given.value) if constant else given
+        found[key] = check(f"Inertia: {name}", value, POSITIVE, remedy)
+    return found
 
 
-def numbers_of(density: Any) -> Any:
-    """Density, or densities by tag."""
-    if isinstance(density, Mapping):
-        return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
-    return float(_value(density))
-
-
-def _value(given: Any) -> Any:
-    if isinstance(given, fem.Constant) and given.value.shape == ():
-        return float(given.value)
-    return given
-
-
-def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
+def create_density(solid: Solid, numbers: Mapping[Any, float], cell_tags: Any) -> Any:
     """Density in UFL; a ValueError for unknown or missing tags; collective."""
-    if not isinstance(density, Mapping):
-        return fem.Constant(solid.mesh, np.float64(_value(density)))
-    chosen, tags = by_cells(solid.mesh, cell_tags, density, "Inertia: density", cover=True)
+    if None in numbers:
+        return fem.Constant(solid.mesh, np.float64(numbers[None]))
+    chosen, tags = by_cells(solid.mesh, cell_tags, numbers, "Inertia: density", cover=True)
     rho = fem.Function(fem.functionspace(solid.mesh, ("DG", 0)))
     cells = rho.function_space.dofmap.list[: len(tags), 0]
     for tag, given in chosen.items():
-        rho.x.array[cells[tags == tag]] = float(_value(given))
+        rho.x.array[cells[tags == tag]] = given
     return rho
 
 
@@ -474,40 +401,33 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     """Set the initial velocity; a ValueError on all ranks; collective."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
+    values = target.x.array.reshape(-1, d)
+    rule = array((d,), remedy=wanted)
     if given is None:
         return
     if isinstance(given, fem.Function):
         space = given.function_space  # another space of the same mesh and element is accepted
         same = space.mesh is V.mesh and space.ufl_element() == V.ufl_element()
-        if space != V and (not same or space.component()):
+        if not same or space.component():
             raise ValueError(
                 f"Inertia: velocity is a Function on {space.ufl_element()}, which "
                 f"is not the space of the displacement, solid.V: {wanted}"
             )
         target.x.array[:] = given.x.array
     elif isinstance(given, Mapping):
-        _set_by_tag(target, given, cell_tags, wanted)
+        found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")
+        for tag, vector in found.items():
+            nodes = np.unique(V.dofmap.list[: len(tags)][tags == tag])
+            values[nodes] = check(f"Inertia: velocity of {label(cell_tags, tag)}", vector, rule)
+        target.x.scatter_forward()
     elif callable(given):
         x = V.tabulate_dof_coordinates().T
         with raised_together(V.mesh.comm):
             shape = d, x.shape[1]
-            rule = array(shape, finite=False, remedy=f"return {shape} for points x {x.shape}")
-            values = check("Inertia: velocity(x)", given(x), rule)
-            target.x.array.reshape(-1, d)[:] = values.T
+            remedy = f"return {shape} for points x {x.shape}"
+            rule = array(shape, finite=False, remedy=remedy)
+            values[:] = check("Inertia: velocity(x)", given(x), rule).T
     else:
-        target.x.array.reshape(-1, d)[:] = check(
-            "Inertia: velocity", given, array((d,), remedy=wanted)
-        )
-    if any_rank(V.mesh.comm, not np.isfinite(target.x.array).all())[0]:
+        values[:] = check("Inertia: velocity", given, rule)
+    if any_rank(V.mesh.comm, not np.isfinite(values).all())[0]:
         raise ValueError(f"Inertia: velocity holds NaN or infinity: {wanted}")
-
-
-def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
-    V, d = target.function_space, target.function_space.dofmap.index_map_bs
-    rule = array((d,), remedy=wanted)
-    found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")
-    for tag, vector in found.items():
-        nodes = np.unique(V.dofmap.list[: len(tags)][tags == tag])
-        who = f"Inertia: velocity of {label(cell_tags, tag)}"
-        target.x.array.reshape(-1, d)[nodes] = check(who, vector, rule)
-    target.x.scatter_forward()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The mass matrix M* = D P^T M P D, with massless contact nodes (theory.md, Motion in time)."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations_with_replacement
@@ -11,12 +10,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import scipy
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import maximum, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints, Longs
 
 LEAST_FACTOR = 0.5
 """Smallest value of 1 + s at a node. Where it would be smaller, layers are too few for the moments
@@ -71,52 +72,41 @@ class Mass:
         Raises:
             RuntimeError: on all ranks, if conjugate gradients do not converge.
         """
-        free = ~(held | self.massless[:, None])
-        columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
-        return self.extend(np.stack(columns, axis=1))
-
-    def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
-        result = np.zeros_like(values)
-        solver = self._solver(free)
-        b, x = solver.getOperators()[0].createVecs()
-        b.array[:] = values[free]
-        solver.solve(b, x)
-        if (reason := solver.getConvergedReason()) <= 0:
-            raise RuntimeError(
-                f"Inertia: conjugate gradients found no initial acceleration along {along} for the "
-                f"forces at the start, whose norm is {b.norm():.3g} (PETSc reason {reason}, after "
-                f"{solver.getIterationNumber()} iterations): check that the terms of the problem "
-                "give finite forces there"
-            )
-        result[free] = x.array_r
-        return result
-
-    def _solver(self, free: Bools) -> PETSc.KSP:
-        first = self.matrix.getOwnershipRange()[0]
-        rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
-        chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
-        solver = PETSc.KSP().create(self.matrix.comm)
-        solver.setOperators(self.matrix.createSubMatrix(chosen, chosen))
-        solver.setType("cg")
-        solver.getPC().setType("jacobi")
-        solver.setTolerances(rtol=ROUND_OFF, atol=0.0)
-        return solver
+        matrix, free = self.matrix, ~(held | self.massless[:, None])
+        first, result = matrix.getOwnershipRange()[0], np.zeros_like(values)
+        for k, on in enumerate(free.T):
+            rows = (np.flatnonzero(on) + first).astype(PETSc.IntType)
+            chosen = PETSc.IS().createGeneral(rows, comm=matrix.comm)
+            solver = PETSc.KSP().create(matrix.comm)
+            solver.setOperators(matrix.createSubMatrix(chosen, chosen))
+            solver.setType("cg")
+            solver.getPC().setType("jacobi")
+            solver.setTolerances(rtol=ROUND_OFF, atol=0.0)
+            b, x = solver.getOperators()[0].createVecs()
+            b.array[:] = values[on, k]
+            solver.solve(b, x)
+            if (reason := solver.getConvergedReason()) <= 0:
+                raise RuntimeError(
+                    f"Inertia: conjugate gradients found no initial acceleration along {'xyz'[k]} "
+                    f"for the forces at the start, whose norm is {b.norm():.3g} (PETSc reason "
+                    f"{reason}, after {solver.getIterationNumber()} iterations): check that the "
+                    "terms of the problem give finite forces there"
+                )
+            result[on, k] = x.array_r
+        return self.extend(result)
 
     def couplings(self, plain: PETSc.Mat) -> list[Ints]:
         """Blocks of dofs that M* couples beyond the consistent mass."""
-        d = self.X.shape[1]
-        first = plain.getOwnershipRange()[0]
-        indptr, columns, _ = self.matrix.getValuesCSR()
-        before, known, _ = plain.getValuesCSR()
+        d, first = self.X.shape[1], plain.getOwnershipRange()[0]
+        patterns = owned_rows(self.matrix), owned_rows(plain)
+        for pattern in patterns:
+            pattern.data[:] = 1.0
+        beyond = patterns[0] > patterns[1]
         found = []
-        for row in range(len(indptr) - 1):
-            new = np.setdiff1d(
-                columns[indptr[row] : indptr[row + 1]], known[before[row] : before[row + 1]]
-            )
-            if new.size:
-                nodes = np.append(new, first + row)
-                dofs = (d * nodes[:, None] + np.arange(d)).ravel()
-                found.append(dofs.astype(PETSc.IntType))
+        for row in np.flatnonzero(np.diff(beyond.indptr)):
+            nodes = np.append(beyond.indices[slice(*beyond.indptr[row : row + 2])], first + row)
+            dofs = (d * nodes[:, None] + np.arange(d)).ravel()
+            found.append(dofs.astype(PETSc.IntType))
         return found
 
 
@@ -154,17 +144,6 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     return replace(plain, matrix=moved, extension=extension, bare=bare)
 
 
-def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
-    indptr, columns, values = csr
-    (n, N), _ = like.getSizes()
-    arrays = (
-        np.array(indptr, dtype=PETSc.IntType),
-        np.concatenate([*columns, np.zeros(0)]).astype(PETSc.IntType),
-        np.concatenate([*values, np.zeros(0)]),
-    )
-    return PETSc.Mat().createAIJ(((n, N),) * 2, csr=arrays, comm=like.comm)
-
-
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
     sums = np.zeros((count, values.shape[1]))
     np.add.at(sums, body, values)
@@ -173,52 +152,38 @@ def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) ->
 
 def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
     """P, and the contact nodes that have an inner node; collective."""
-    weights = _find_weights(plain, contact)
-    n, first, own = len(contact), plain.matrix.getOwnershipRange()[0], np.ones(1)
-    bare = np.zeros(n, dtype=bool)
-    bare[list(weights)] = True
-    indptr, columns, values = [0], list[Ints](), list[Floats]()
-    for row in range(n):
-        nodes, share = weights.get(row, (np.array([row + first]), own))
-        columns.append(nodes)
-        values.append(share)
-        indptr.append(indptr[-1] + len(nodes))
-    return _create(plain.matrix, (indptr, columns, values)), bare
-
-
-def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]:
     M, n = plain.matrix, len(contact)
-    first = M.getOwnershipRange()[0]
-    weights: dict[int, tuple[Ints, Floats]] = {}
-    pending = np.flatnonzero(contact).astype(np.int32)
-    columns = PETSc.IS().createStride(n, first=first, step=1, comm=M.comm)
+    first, least = M.getOwnershipRange()[0], np.full(n, np.inf)
+    rows, columns, pending = list[Longs](), list[Ints](), np.flatnonzero(contact)
+    every = PETSc.IS().createStride(n, first=first, step=1, comm=M.comm)
     for ring in range(RINGS):
-        rows = PETSc.IS().createGeneral((pending + first).astype(PETSc.IntType), comm=M.comm)
-        near = M.createSubMatrix(rows, columns)
+        at = PETSc.IS().createGeneral((pending + first).astype(PETSc.IntType), comm=M.comm)
+        near = M.createSubMatrix(at, every)
         for _ in range(ring):
             near = near.matMult(M)
-        for row, inner in _inner_nodes(plain, near, pending, contact):
-            weights[int(row)] = inner
-        pending = np.array([row for row in pending if int(row) not in weights], dtype=np.int32)
+        indptr, reached, _ = near.getValuesCSR()
+        row, (wanted, place) = (
+            pending.repeat(np.diff(indptr)),
+            np.unique(reached, return_inverse=True),
+        )
+        there = values_at(M.comm, np.column_stack([plain.X, contact]), wanted)[place]
+        inner = there[:, -1] == 0.0
+        row, reached = row[inner], reached[inner]
+        distance = np.linalg.norm(there[inner, :-1] - plain.X[row], axis=1)
+        np.minimum.at(least, row, distance)
+        nearest = distance <= (1.0 + HALF_OF_DIGITS) * least[row]
+        rows.append(row[nearest])
+        columns.append(reached[nearest])
+        pending = pending[np.isinf(least[pending])]
         if not M.comm.tompi4py().allreduce(bool(pending.size), op=MPI.LOR):
             break
-    return weights
-
-
-def _inner_nodes(
-    plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
-) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    indptr, columns, _ = near.getValuesCSR()
-    wanted, place = np.unique(columns, return_inverse=True)
-    there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
-    for k, row in enumerate(rows):
-        span = slice(indptr[k], indptr[k + 1])
-        inner = there[span, -1] == 0.0
-        if not inner.any():
-            continue
-        distance = np.linalg.norm(there[span, :-1][inner] - plain.X[row], axis=1)
-        chosen = columns[span][inner][distance <= (1.0 + HALF_OF_DIGITS) * distance.min()]
-        yield int(row), (chosen, np.full(len(chosen), 1.0 / len(chosen)))
+    bare = np.isfinite(least)
+    rest = np.flatnonzero(~bare)
+    row, column = np.concatenate([*rows, rest]), np.concatenate([*columns, rest + first])
+    shares = 1.0 / np.bincount(row, minlength=n)[row]
+    P = scipy.sparse.csr_array((shares, (row, column)), shape=(n, M.getSize()[1]))
+    csr = P.indptr.astype(PETSc.IntType), P.indices.astype(PETSc.IntType), P.data
+    return PETSc.Mat().createAIJ(M.getSizes(), csr=csr, comm=M.comm), bare
 
 
 def _restore_moments(
@@ -251,11 +216,9 @@ def _restore_moments(
             break
         changes = [q[:, k, None] * p for k in range(len(pairs))]
         slopes = np.stack([moments(c, image) + moments(image, c) for c in changes], axis=2)
-        steps = np.zeros((count, len(pairs)))
-        for k, on in enumerate(used):
-            A, b = slopes[k][on][:, on], missing[k, on]
-            steps[k, on] = np.linalg.lstsq(A, b, rcond=HALF_OF_DIGITS)[0]
-        s += (q * steps[body]).sum(axis=1)
+        slopes *= used[:, :, None] & used[:, None]
+        steps = np.linalg.pinv(slopes, HALF_OF_DIGITS) @ missing[:, :, None]
+        s += (q * steps[body, :, 0]).sum(axis=1)
     least = np.full(count, np.inf)
     heavy = moved.getDiagonal().array_r > 0.0
     np.minimum.at(least, body[heavy], 1.0 + s[heavy])

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The sum over bodies and terms: energy, forces and tangent of a problem."""
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -27,27 +26,12 @@ from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.terms.loads import PointTerm
-from dolfinx_mortar.terms.weak_forms import DeadLoads
-
-R = TypeVar("R")
 
 NO_PLACE = (
     "an entry lies beyond the pattern of the matrix: declare the dofs in couplings, an array of "
     "global numbers for all that are coupled to each other"
 )
 OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
-CALLED_WITH = {  # optional methods of a term
-    "energy": (),
-    "add_forces": ("F",),
-    "add_tangent": ("K",),
-    "skew": (),
-    "begin": ("start", "end"),
-    "commit": (),
-    "roll_back": (),
-    "meet": ("contact", "body"),
-    "stride": (),
-    "varies": ("K",),
-}
 
 
 @dataclass(frozen=True)
@@ -66,12 +50,8 @@ class Terms:
     named: Sequence[tuple[str, Term]]  # Pi_k, with their names in messages
 
     @property
-    def every(self) -> list[Term]:
-        """The bodies, then the other terms."""
-        return [self.solid, *(term for _, term in self.named)]
-
-    @property
     def _every(self) -> list[tuple[str, Term]]:
+        """The bodies, then the other terms."""
         return [("solid", self.solid), *self.named]
 
     @property
@@ -82,22 +62,18 @@ class Terms:
     @property
     def linear(self) -> bool:
         """Whether the tangent is constant within a step."""
-        return all(term.linear for term in self.every)
+        return all(term.linear for _, term in self._every)
 
     def vary(self, K: PETSc.Mat) -> bool:
         """Whether the tangent may differ from K on any rank; collective."""
-        found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
+        found = [self._ask(name, term, Term.varies, K) for name, term in self.stiff]
         found += [region.parameters.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
 
     @property
-    def _stiff(self) -> list[tuple[str, Term]]:
+    def stiff(self) -> list[tuple[str, Term]]:
+        """Terms other than the bodies that have a tangent."""
         return [(name, term) for name, term in self.named if term.has_tangent]
-
-    @property
-    def have_tangent(self) -> bool:
-        """Whether a term other than the bodies has a tangent."""
-        return bool(self._stiff)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
         """J(u), None if a term has none; collective.
@@ -106,8 +82,8 @@ class Terms:
         """
         sums = np.zeros(3)
         for name, term in self._every:
-            given = partial(self.solid.energy, along) if term is self.solid else term.energy
-            addends = self._ask(name, term, partial(_addends, term, given))
+            given = (along,) if term is self.solid else ()
+            addends = self._ask(name, term, Term.energy, *given, then=_addends)
             sums += (0, 0, 1) if addends is None else (addends.sum(), np.abs(addends).sum(), 0)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return None if sums[2] > 0.0 else Energy(sums[0], sums[1])
@@ -136,7 +112,7 @@ class Terms:
     def add_forces(self, named: Sequence[tuple[str, Term]], F: PETSc.Vec) -> None:
         """Add the forces of some terms; collective."""
         for name, term in named:
-            self._ask(f"{name}: add_forces()", term, partial(_add, term.add_forces, F))
+            self._ask(name, term, Term.add_forces, F, then=_nothing)
         F.assemble()
 
     def assemble_tangent(
@@ -158,13 +134,11 @@ class Terms:
         if self._of_users:
             K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
-        for name, term in self.named:
-            if term.has_tangent:
-                self._ask(f"{name}: add_tangent()", term, partial(_add, term.add_tangent, K))
-        if not self._of_users:
-            K.assemble()
-            return
+        for name, term in self.stiff:
+            self._ask(name, term, Term.add_tangent, K, then=_nothing)
         K.assemble()
+        if not self._of_users:
+            return
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
         if K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"] > before:
             raise ValueError(f"{self._of_users}: add_tangent(): {NO_PLACE}")
@@ -175,13 +149,12 @@ class Terms:
 
     def skews(self) -> list[PETSc.Mat]:
         """Antisymmetric parts, always of the same terms; collective."""
-        found = [self._ask(f"{n}: skew()", term, term.skew) for n, term in self.named]
+        found = [self._ask(name, term, Term.skew) for name, term in self.named]
         return [A for A in found if A is not None]
 
     @property
     def _of_users(self) -> str:
-        own = [name for name, term in self.named if term.has_tangent and not is_ours(term)]
-        return "; ".join(own)
+        return "; ".join(name for name, term in self.stiff if not is_ours(term))
 
     def stiffness(self) -> PETSc.Mat:
         """Tangent of all terms but the bodies; collective.
@@ -220,7 +193,7 @@ class Terms:
         dense = [
             (name, dofs)
             for name, term in self.named
-            for dofs in self._ask(f"{name}: couplings", term, partial(_couplings, term))
+            for dofs in ask_term(self.comm, f"{name}: couplings", term, partial(_couplings, term))
         ]
         if not any_rank(self.comm, bool(dense))[0]:
             return K
@@ -243,27 +216,26 @@ class Terms:
     def prepare(self, named: Sequence[tuple[str, Term]], start: float, end: float) -> None:
         """Prepare a step of some terms; collective."""
         for name, term in named:
-            self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
+            self._ask(name, term, Term.begin, start, end)
 
     def meet(self, contact: Bools, body: Ints) -> None:
         """Pass `meet` to all terms, see `Term`; collective."""
         for name, term in self._every:
-            self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
+            self._ask(name, term, Term.meet, contact, body)
 
     def stride(self) -> float:
         """Upper bound of a node's motion in the present step; collective."""
-        found = [self._ask(f"{n}: stride()", t, partial(_stride, t)) for n, t in self.named]
+        length = partial(check, "it", rule=number("a finite length", least=0.0))
+        found = [self._ask(name, term, Term.stride, then=length) for name, term in self.named]
         return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
 
-        Of users' terms without energy and dead loads, the forces are checked instead.
+        Of ours without energy, the forces are checked instead.
         """
         for name, term in self.named:
-            if isinstance(term, DeadLoads):
-                continue
-            addends = self._ask(name, term, partial(_addends, term, term.energy))
+            addends = self._ask(name, term, Term.energy, then=_addends)
             if addends is None and is_ours(term):
                 F = self.solid.u.x.petsc_vec.duplicate()
                 F.set(0.0)
@@ -278,20 +250,36 @@ class Terms:
     def commit(self) -> None:
         """Commit the state of all terms; collective."""
         for name, term in self._every:
-            self._ask(f"{name}: commit()", term, term.commit)
+            self._ask(name, term, Term.commit)
 
     def roll_back(self) -> None:
         """Discard a failed step in all terms; not collective."""
-        for term in self.every:
+        for _, term in self._every:
             term.roll_back()
 
-    def _ask(self, name: str, term: Term, call: Callable[[], R]) -> R:
-        """Call a method; raise its error on all ranks, with the term's name; collective."""
-        return ask_term(self.comm, name, term, call)
+    def _ask(
+        self,
+        name: str,
+        term: Term,
+        method: Callable[..., Any],
+        *given: Any,
+        then: Callable[[Any], Any] = lambda found: found,
+    ) -> Any:
+        """Result of a method, after a check; its errors on all ranks, with its name; collective."""
+        own = method.__name__
+
+        def call() -> Any:
+            try:
+                return then(getattr(term, own)(*given))
+            except PETSc.Error as error:
+                if error.ierr != OUT_OF_RANGE:
+                    raise
+                raise ValueError(NO_PLACE) from error
+
+        return ask_term(self.comm, f"{name}: {own}()", term, call)
 
 
-def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
-    returned = _within_pattern(partial(method, to))
+def _nothing(returned: object) -> None:
     if returned is not None:
         raise ValueError(
             f"it returns a {type(returned).__name__}, which is not used: add to its argument, "
@@ -299,26 +287,11 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
         )
 
 
-def _within_pattern(call: Callable[[], R]) -> R:
-    try:
-        return call()
-    except PETSc.Error as error:
-        if error.ierr != OUT_OF_RANGE:
-            raise
-        raise ValueError(NO_PLACE) from error
-
-
-def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
-    given = energy()
+def _addends(given: object) -> Floats | None:
     if given is None:
         return None
     remedy = "return this rank's share of the energy, a number, or None if there is no potential"
-    rule = array(finite=False, remedy=remedy)
-    return np.atleast_1d(check(f"{type(term).__name__}.energy()", given, rule))
-
-
-def _stride(term: Term) -> float:
-    return check("it", term.stride(), number("a finite length", least=0.0))
+    return np.atleast_1d(check("it", given, array(finite=False, remedy=remedy)))
 
 
 def _couplings(term: Term) -> Sequence[Any]:
@@ -341,30 +314,13 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
             check(f"terms[{k}]", term, instance(Term, remedy))
             if any(term is other for other in terms[:k]):
                 raise ValueError(f"terms holds the same object {term!r} twice: give it once")
-            _check_signatures(k, term)
             _check_state(k, term, u.function_space)
             if isinstance(term, PointTerm):
                 term.act_on(u)
-    kinds = {f"terms[{k}]": _kind(term) for k, term in enumerate(terms)}
-    check_same_on_all_ranks(comm, **kinds)
-    return list(terms)
-
-
-def _kind(term: Term) -> dict[str, Any]:
     names = "linear", "has_tangent"
-    return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
-
-
-def _check_signatures(k: int, term: Term) -> None:
-    for name, arguments in CALLED_WITH.items():
-        signature = inspect.signature(getattr(term, name))
-        try:
-            signature.bind(*arguments)
-        except TypeError as error:
-            raise ValueError(
-                f"terms[{k}], a {type(term).__name__}: {name}{signature} is called as "
-                f"{name}({', '.join(arguments)}): {error}"
-            ) from error
+    kinds = [[{n: getattr(t, n) for n in names}, sorted(t.state)] for t in terms]
+    check_same_on_all_ranks(comm, terms=kinds)
+    return list(terms)
 
 
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:

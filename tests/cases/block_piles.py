@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import _block, _tag, create_distributed
+from tests.cases.two_bodies import create_problem, held
 
 BELOW, EAST, ABOVE, WEST = 1, 2, 3, 4
 """Sides; the facet tag of a side of block k (from 1 on) is 10 k + side."""
@@ -86,19 +87,14 @@ class Blocks:
 
     def __init__(self, boxes, **options):
         """Create mesh, space and displacement."""
-        self.mesh, self.cells, self.facets = create_blocks(COMM, boxes, **options)
+        comm = options.pop("comm", COMM)
+        self.mesh, self.cells, self.facets = create_blocks(comm, boxes, **options)
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u = fem.Function(self.V, name="u")
 
     def fix(self, block, side, component=None, value=0.0):
         """Return a Dirichlet condition on a side; value may be a dolfinx Constant."""
-        V = self.V if component is None else self.V.sub(component)
-        dofs = fem.locate_dofs_topological(V, 1, self.facets.find(10 * block + side))
-        if component is None and not isinstance(value, fem.Constant):
-            value = np.full(2, value, dtype=default_scalar_type)
-        elif not isinstance(value, fem.Constant):
-            value = default_scalar_type(value)
-        return fem.dirichletbc(value, dofs, V)
+        return held(self.V, self.facets, 10 * block + side, value, component)
 
     def join(self, kind, slave, master):
         """Return an interface between two sides (block, side)."""
@@ -107,7 +103,7 @@ class Blocks:
 
     def problem(self, interfaces, bcs, law=STEEL, **options):
         """Return the problem."""
-        return dm.ContactProblem(dm.Solid(self.u, law, self.cells), interfaces, bcs=bcs, **options)
+        return create_problem(self.u, interfaces, bcs, law, self.cells, **options)
 
     def traction(self, block, side, value):
         """Return the virtual work of a traction."""

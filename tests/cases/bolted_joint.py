@@ -3,12 +3,10 @@
 
 from mpi4py import MPI
 
-import numpy as np
-
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 
 COMM = MPI.COMM_WORLD
 E = 1000.0
@@ -20,28 +18,17 @@ class Joint:
     def __init__(self, *, gap=0.0, slave="upper", comm=COMM):
         boxes = [(1, 2, 0, 1, 3, 3), (1, 2, 1, 2, 4, 3), (0, 1, 0, 2 - gap, 3, 5)]
         boxes += [(2, 3, 0, 2 - gap, 3, 5), (0, 3, 2, 3, 10, 3)]
-        self.mesh, cells, tags = create_blocks(comm, boxes, cell="quadrilateral")
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u, self.pull = fem.Function(V), fem.Constant(self.mesh, 0.0)
-        soft, stiff = dm.Elastic(E, 0.0), dm.Elastic(1e5 * E, 0.0)
-        solid = dm.Solid(self.u, {k: stiff if k == 5 else soft for k in range(1, 6)}, cells)
-        sides = (20 + BELOW, 10 + ABOVE) if slave == "upper" else (10 + ABOVE, 20 + BELOW)
-        self.bolt = dm.Tie(tags, slave=sides[0], master=sides[1])
+        b = Blocks(boxes, cell="quadrilateral", comm=comm)
+        self.mesh, self.u, self.pull = b.mesh, b.u, fem.Constant(b.mesh, 0.0)
+        laws = {k: dm.Elastic(1e5 * E if k == 5 else E, 0.0) for k in range(1, 6)}
+        ends = ((2, BELOW), (1, ABOVE))[:: 1 if slave == "upper" else -1]
+        self.bolt, head = b.join(dm.Tie, *ends), b.join(dm.Tie, (2, ABOVE), (5, BELOW))
         self.direction = [0.0, -1.0 if slave == "upper" else 1.0]
-        head = dm.Tie(tags, slave=20 + ABOVE, master=50 + BELOW)
-        self.plates = [dm.Contact(tags, slave=k + ABOVE, master=50 + BELOW) for k in (30, 40)]
-        held = [fem.locate_dofs_topological(V, 1, tags.find(k + BELOW)) for k in (10, 30, 40)]
-        walls = [fem.locate_dofs_topological(V.sub(0), 1, tags.find(50 + s)) for s in (EAST, WEST)]
-        zero = fem.Constant(self.mesh, 0.0)
-        bcs = [fem.dirichletbc(np.zeros(2), np.concatenate(held), V)]
-        bcs.append(fem.dirichletbc(zero, np.concatenate(walls), V.sub(0)))
-        v, ds = ufl.TestFunction(V), ufl.Measure("ds", self.mesh, subdomain_data=tags)
-        self.problem = dm.ContactProblem(
-            solid,
-            [self.bolt, head, *self.plates],
-            bcs=bcs,
-            loads=self.pull / 3.0 * v[1] * ds(50 + ABOVE),
-        )
+        self.plates = [b.join(dm.Contact, (k, ABOVE), (5, BELOW)) for k in (3, 4)]
+        bcs = [b.fix(k, BELOW) for k in (1, 3, 4)] + [b.fix(5, s, 0) for s in (EAST, WEST)]
+        v, ds = ufl.TestFunction(b.V), ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+        loads = self.pull / 3.0 * v[1] * ds(50 + ABOVE)
+        self.problem = b.problem([self.bolt, head, *self.plates], bcs, laws, loads=loads)
 
     def clamping(self):
         """Return the force between plates and yoke."""

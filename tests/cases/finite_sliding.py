@@ -16,6 +16,7 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar import common_normals
 from tests.cases.close_fits import create_ring, nested
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 BLOCK, TOOL = 1, 2
@@ -121,19 +122,17 @@ def indentation(
 
     bodies = Bodies.of((lower, upper), tag)
     V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
-    u = fem.Function(V)
-    held, base = (fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0))) for _ in range(2))
-    dofs = {t: fem.locate_dofs_topological(V, 1, bodies.facets.find(t)) for t in (BASE, HELD)}
-    bcs = [fem.dirichletbc(base, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
+    top, base = (fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0))) for _ in range(2))
+    bcs = [held(V, bodies.facets, BASE, base), held(V, bodies.facets, HELD, top)]
     make = dm.NeoHooke if strain == "finite" else dm.Elastic
     laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
-    solid = dm.Solid(u, laws, bodies.cells, strain=strain)
     tops = [TOP + 10 * k for k in range(len(blocks))] if apart else [TOP]
     sides = [(ARC, top) if slave == "tool" else (top, ARC) for top in tops]
     contacts = [
         dm.Contact(bodies.facets, slave=s, master=m, surface=surface, **options) for s, m in sides
     ]
-    return Indentation(dm.ContactProblem(solid, contacts, bcs=bcs), contacts[0], held, base)
+    problem = create_problem(V, contacts, bcs, laws, bodies.cells, strain=strain)
+    return Indentation(problem, contacts[0], top, base)
 
 
 def walk(case, path, times, **options):
@@ -184,11 +183,10 @@ def turning_hub(**options):
     body = np.where(domain.topology.original_cell_index < size, 1, 2).astype(np.int32)[:own]
     cells = mesh.meshtags(domain, 2, np.arange(own, dtype=np.int32), body)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    u, turned = fem.Function(V), fem.Function(V)
+    turned = fem.Function(V)
     circles = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (1, 4)]
     bcs = [fem.dirichletbc(turned, dofs) for dofs in circles]
     laws = {1: dm.NeoHooke(10.0, 0.3), 2: dm.NeoHooke(1.0, 0.3)}
     contact = dm.Contact(facets, slave=2, master=3, surface="facets", **options)
-    solid = dm.Solid(u, laws, cells, strain="finite")
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    problem = create_problem(V, [contact], bcs, laws, cells, strain="finite", geometry=geometry)
     return TurningHub(problem, contact, turned, tuple(circles))

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from tests.cases import meshes, meshes_3d
+from tests.cases.mortar import largest
+from tests.cases.two_bodies import COMM, TwoBodies, create_problem
 
-COMM = MPI.COMM_WORLD
+__all__ = ["COMM", "largest"]
+
 ELASTIC = dm.Elastic(E=1000.0, nu=0.3)
 PLANE = {
     "n_lower": (7, 2),
@@ -58,8 +59,7 @@ class PushedBlock:
         sides = {"slave": self.contact.slave, "master": self.contact.master}
         surface = "smooth" if self.contact.smooth else "facets"
         contact = interface(self.contact.facet_tags, **sides, surface=surface, **options)
-        solid = dm.Solid(fem.Function(old.V, name="u"), ELASTIC, self.cells)
-        problem = dm.ContactProblem(solid, [contact], bcs=self.bcs, geometry=old.geometry)
+        problem = create_problem(old.V, [contact], self.bcs, ELASTIC, geometry=old.geometry)
         return PushedBlock(problem, contact, self.bcs, self.cells, self.top, self.turn)
 
     def closed(self) -> dict[str, np.ndarray]:
@@ -92,31 +92,15 @@ def create(
     space = cell in ("tetrahedron", "hexahedron")
     if space:
         turn = meshes_3d.rotation((1.0, 2.0, 3.0), angle)
-        make, size = meshes_3d.two_boxes, SPACE | {"turn": turn}
+        size = SPACE | {"turn": turn}
     else:
         turn = meshes_3d.rotation((0.0, 0.0, 1.0), angle)[:2, :2]
-        make, size = meshes.two_blocks, PLANE | {"angle": angle}
-    mesh, cells, facets = make(COMM, cell=cell, **size | (mesh_options or {}))
-    d = mesh.geometry.dim
-    V = fem.functionspace(mesh, ("Lagrange", degree, (d,)))
-    top = fem.Constant(mesh, np.zeros(d))
-    bcs = []
-    for tag, value in ((meshes.BOTTOM, fem.Constant(mesh, np.zeros(d))), (meshes.TOP, top)):
-        dofs = fem.locate_dofs_topological(V, d - 1, facets.find(tag))
-        bcs.append(fem.dirichletbc(value, dofs, V))
-    sides = (meshes.TOP_OF_LOWER, meshes.BOTTOM_OF_UPPER)
-    sides = sides if slave == "lower" else sides[::-1]
-    contact = dm.Contact(facets, slave=sides[0], master=sides[1], surface=surface, **options)
-    solid = dm.Solid(fem.Function(V, name="u"), law, cells)
-    problem = dm.ContactProblem(
-        solid, [contact], bcs=bcs, geometry=geometry, petsc_options=petsc_options
-    )
-    return PushedBlock(problem, contact, bcs, cells, top, turn)
-
-
-def largest(array) -> float:
-    """Return the largest absolute value of all ranks."""
-    return float(COMM.allreduce(float(np.abs(array).max(initial=0.0)), op=MPI.MAX))
+        size = PLANE | {"angle": angle}
+    case = TwoBodies(cell, degree, **size | (mesh_options or {}))
+    bcs, contact = case.bcs(), case.interface(swap=slave != "lower", surface=surface, **options)
+    given = {"geometry": geometry, "petsc_options": petsc_options}
+    problem = case.problem([contact], bcs, law, **given)
+    return PushedBlock(problem, contact, bcs, case.cells, case.top, turn)
 
 
 def check_coulomb(case: PushedBlock, mu: float, accuracy: float = 1e-10) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from tests.cases.two_bodies import create_problem, held
 
 PLASTIC = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 ELASTIC = dm.Elastic(E=206_900.0, nu=0.29)
@@ -77,22 +78,16 @@ def create_case(
     A shape stands for the master. The options are those of the contact.
     """
     V, sides = fem.functionspace(mesh.mesh, ("Lagrange", degree, (2,))), mesh.facet_tags
-    solid = dm.Solid(
-        fem.Function(V, name="u"), materials, mesh.cell_tags, strain=strain, kinematics=kinematics
-    )
-    fixed, top = (fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2))
-    held = [("bottom", fixed, V), ("flat", top, V)]
-    held += [("axis", 0.0, V.sub(0))] if "axis" in sides.names else []
-    bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(W, 1, sides.find(tag)), W)
-        for tag, value, W in held
-    ]
+    top = fem.Constant(mesh.mesh, np.zeros(2))
+    bcs = [held(V, sides, "bottom"), held(V, sides, "flat", top)]
+    bcs += [held(V, sides, "axis", 0.0, 0)] if "axis" in sides.names else []
     side, master = SIDES[slave]
     if shape is None:
         contact = dm.Contact(sides, slave=side, master=master, **options)
     else:
         contact = dm.Obstacle(sides, slave=side, shape=shape, **options)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+    own = {"strain": strain, "kinematics": kinematics, "geometry": geometry}
+    problem = create_problem(V, [contact], bcs, materials, mesh.cell_tags, **own)
     return HertzCase(problem, contact, top)
 
 

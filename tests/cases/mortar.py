@@ -44,7 +44,7 @@ def row_sums(mortar):
 
 def pair_up(V, tags, slave=3, master=4, u=None, **options):
     surfaces = create_surface(V, tags, slave, "slave"), create_surface(V, tags, master, "master")
-    return create_pairing(V, *surfaces, u, **options)
+    return create_pairing(*surfaces, u, **options)
 
 
 def node_matrices(pairing, points, keep):

@@ -1,38 +1,26 @@
 # SPDX-License-Identifier: MIT
 """Bodies in motion: a bar that vibrates, two blocks that meet, and a rod that hits a wall."""
 
-from mpi4py import MPI
-
 import numpy as np
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem, mesh
-from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER, two_blocks
-from tests.cases.solid import create_displacement, plane, rectangle, tag_facets
-
-COMM = MPI.COMM_WORLD
-
-
-def component(V, i, where=lambda x: np.full(x.shape[1], True)):
-    W = V.sub(i)
-    dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), where)[0]
-    return fem.dirichletbc(fem.Constant(V.mesh, 0.0), dofs, W)
+from tests.cases.meshes import LOWER, UPPER
+from tests.cases.solid import COMM, create_displacement, hold, plane, rectangle, tag_facets
+from tests.cases.two_bodies import TwoBodies, held
 
 
 class Bar:
     """A bar of the length 1, E = rho = 1, clamped at x = 0, without Poisson's ratio."""
 
     def __init__(self, n=8, **options):
-        self.mesh = mesh.create_rectangle(
-            COMM, [[0.0, 0.0], [1.0, 0.1]], [n, 1], cell_type=mesh.CellType.quadrilateral
-        )
-        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u = fem.Function(self.V)
+        self.mesh = rectangle([(0.0, 0.0), (1.0, 0.1)], (n, 1))
+        self.u = create_displacement(self.mesh)
+        self.V = self.u.function_space
         self.u.interpolate(self.mode)
         self.solid = dm.Solid(self.u, dm.Elastic(1.0, 0.0))
         self.inertia = dm.Inertia(self.solid, 1.0, **options)
-        self.bcs = [component(self.V, 1), component(self.V, 0, lambda x: np.isclose(x[0], 0.0))]
+        self.bcs = [hold(self.V, lambda x: np.isfinite(x[0]), 1), hold(self.V, plane(0), 0)]
         # of linear elements with the consistent mass, of which the mode is exact at the nodes
         k, h = np.pi / 2.0, 1.0 / n
         self.frequency = np.sqrt(6.0 * (1.0 - np.cos(k * h)) / (2.0 + np.cos(k * h))) / h
@@ -72,34 +60,22 @@ class Blocks:
         geometry="updated",
         **options,
     ):
-        options = {"cell": "quadrilateral"} | options
-        self.mesh, self.cells, self.facets = two_blocks(COMM, n_lower, n_upper, **options)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u = fem.Function(self.V)
+        sizes = {"cell": "quadrilateral", "n_lower": n_lower, "n_upper": n_upper}
+        bodies = TwoBodies(**sizes | options)
+        self.mesh, self.cells, self.facets = bodies.mesh, bodies.cells, bodies.facets
+        self.u, self.loads, V = bodies.u, None, bodies.V
         self.solid = dm.Solid(self.u, law or dm.Elastic(1000.0, 0.3), strain=strain)
         self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity)
-        sides = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
-        self.contact = dm.Contact(self.facets, **sides, friction=friction)
-        self.bcs = bcs = []
-        if clamped:
-            owned = self.cells.indices[self.cells.values == LOWER]
-            dofs = np.unique(self.V.dofmap.list[owned]).astype(np.int32)
-            bcs.append(fem.dirichletbc(np.zeros(2), dofs, self.V))
+        self.contact = bodies.interface(swap=True, friction=friction)
+        self.bcs = [held(V, self.cells, LOWER)] if clamped else []
         if guided:
-            bcs.append(component(self.V, 0))
-        self.loads = None
+            self.bcs += [held(V, self.cells, body, 0.0, 0) for body in (LOWER, UPPER)]
         if gravity:
             weight = ufl.Measure("dx", self.mesh, subdomain_data=self.cells)(UPPER)
-            self.loads = -density * gravity * ufl.TestFunction(self.V)[1] * weight
+            self.loads = -density * gravity * ufl.TestFunction(V)[1] * weight
         dampings = [dm.Damping(self.inertia, stiffness=damping)] if damping else []
-        self.problem = dm.ContactProblem(
-            self.solid,
-            [self.contact],
-            bcs=bcs,
-            loads=self.loads,
-            terms=[self.inertia, *dampings],
-            geometry=geometry,
-        )
+        given = {"loads": self.loads, "terms": [self.inertia, *dampings], "geometry": geometry}
+        self.problem = bodies.problem([self.contact], self.bcs, self.solid, **given)
 
 
 def meeting(

@@ -6,61 +6,36 @@ from contextlib import contextmanager
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.two_bodies import COMM, ELASTIC, TwoBodies
 
-COMM = MPI.COMM_WORLD
-ELASTIC = dm.Elastic(1000.0, 0.3)
+__all__ = ["COMM", "ELASTIC"]
 
 
-class PressedBlocks:
-    """Mesh, tags, space and displacement, and the parts of a problem on them."""
+class PressedBlocks(TwoBodies):
+    """Parts of a problem of two blocks, in the plane or in space, whose top goes down."""
 
-    def __init__(self, *, degree=1, d=2, comm=COMM, **options):
-        create = two_blocks if d == 2 else two_boxes
-        self.mesh, self.cells, self.facets = create(comm, **options)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (d,)))
-        self.u = fem.Function(self.V)
-        down = np.append(np.zeros(d - 1), -0.01).astype(default_scalar_type)
-        self.d, self.top = d, fem.Constant(self.mesh, down)
+    def __init__(self, *, d=2, cell=None, **options):
+        super().__init__(cell or ("triangle", "tetrahedron")[d - 2], **options)
+        self.top.value[-1] = -0.01
 
-    def bc(self, tag, value=None):
+    def bc(self, tag, value=0.0):
         """Hold a side, by default where it is."""
-        if value is None or isinstance(value, tuple):
-            value = np.array(value or np.zeros(self.d), dtype=default_scalar_type)
-        dofs = fem.locate_dofs_topological(self.V, self.d - 1, self.facets.find(tag))
-        if isinstance(value, fem.Function):
-            return fem.dirichletbc(value, dofs)
-        return fem.dirichletbc(value, dofs, self.V)
+        return self.held(tag, value)
 
     def roller(self, tag, component, value=0.0):
-        W = self.V.sub(component)
-        dofs = fem.locate_dofs_topological(W, self.d - 1, self.facets.find(tag))
-        return fem.dirichletbc(value, dofs, W)
-
-    def bcs(self):
-        return [self.bc(BOTTOM), self.bc(TOP, self.top)]
+        return self.held(tag, value, component)
 
     def contact(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, facets=None):
         return dm.Contact(self.facets if facets is None else facets, slave=slave, master=master)
 
-    def tie(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, **options):
-        return dm.Tie(self.facets, slave=slave, master=master, **options)
-
-    def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
-        solid = law
-        if not isinstance(law, dm.Solid):
-            solid = dm.Solid(self.u, law, self.cells if isinstance(law, dict) else None)
-        interfaces = [self.contact()] if interfaces is None else interfaces
-        return dm.ContactProblem(
-            solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options
-        )
+    def tie(self, **options):
+        return self.interface(dm.Tie, **options)
 
     def pull(self, traction):
         v, ds = ufl.TestFunction(self.V), ufl.Measure("ds", self.mesh, subdomain_data=self.facets)

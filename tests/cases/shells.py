@@ -5,8 +5,7 @@ from itertools import permutations
 
 import numpy as np
 
-from dolfinx import mesh as dmesh
-from dolfinx_mortar.meshing.two_bodies import distribute, exterior_facets
+from dolfinx_mortar.meshing.two_bodies import all_at, two_bodies
 
 INNER, SLAVE, MASTER, OUTER = 1, 2, 3, 4  # circles or spheres from inside; 5, 6, 7: x, y, z = 0
 RADIUS = 2.0  # of the interface of sectors
@@ -57,16 +56,15 @@ def octants(comm, radii, counts, layers, cell):
     """Return the mesh of two shells, radii[0] to radii[1] to radii[2], and its facet tags."""
     bounds = radii[:2], radii[1:]
     parts = [_shell(b, n, layers, cell) for b, n in zip(bounds, counts, strict=True)]
-    domain, first = distribute(comm, lambda: parts, cell)
-    local = np.arange(domain.topology.index_map(3).size_local, dtype=np.int32)
-    in_first = np.asarray(domain.topology.original_cell_index)[local] < first
-    facets, first, x = exterior_facets(domain, in_first)
-    radius = np.linalg.norm(x, axis=2)
-    on = [(np.abs(radius - r) < 1e-9).all(axis=1) for r in radii]
-    marks = [on[0], on[1] & first, on[1] & ~first, on[2]]
-    marks += [(np.abs(x[:, :, i]) < 1e-9).all(axis=1) for i in range(3)]
-    values = np.select(marks, np.arange(1, 8, dtype=np.int32), 0).astype(np.int32)
-    return domain, dmesh.meshtags(domain, 2, facets[values > 0], values[values > 0])
+
+    def sides(inner, x):
+        on = [all_at(np.linalg.norm(x, axis=2), r, 1e-9) for r in radii]
+        marks = [on[0], on[1] & inner, on[1] & ~inner, on[2]]
+        marks += [all_at(x[:, :, i], 0.0, 1e-9) for i in range(3)]
+        return dict(zip("1234567", marks, strict=True))
+
+    found = two_bodies(comm, lambda: parts, cell, "shells", ("inner", "outer"), sides)
+    return found.mesh, found.facet_tags
 
 
 def lame_pressure(radii, d):

@@ -30,10 +30,14 @@ def held(V, tags, tag, value=0.0, component=None):
 
 
 def create_problem(V, interfaces=(), bcs=(), law=ELASTIC, cells=None, **options):
-    """Return the problem of a body, or several; the options are those of solid and problem."""
+    """Return the problem of a body, or several; the options are those of solid and problem.
+
+    V may also be the displacement, and the law the solid.
+    """
     own = {name: options.pop(name) for name in OF_SOLID if name in options}
-    u = V if isinstance(V, fem.Function) else fem.Function(V)
-    return dm.ContactProblem(dm.Solid(u, law, cells, **own), interfaces, bcs=bcs, **options)
+    if not isinstance(law, dm.Solid):
+        law = dm.Solid(V if isinstance(V, fem.Function) else fem.Function(V), law, cells, **own)
+    return dm.ContactProblem(law, interfaces, bcs=bcs, **options)
 
 
 class TwoBodies:
@@ -74,7 +78,8 @@ class TwoBodies:
         """Return the problem, in contact and clamped if nothing else is given."""
         interfaces = [self.interface()] if interfaces is None else interfaces
         bcs = self.bcs() if bcs is None else bcs
-        return create_problem(self.u, interfaces, bcs, law, **options)
+        cells = {"cells": self.cells} if isinstance(law, dict) else {}
+        return create_problem(self.u, interfaces, bcs, law, **cells | options)
 
     def raise_upper(self, *way):
         """Move the upper body as a whole."""

@@ -91,8 +91,8 @@ def agree(found, expected):
 
 
 @KINDS
-def test_a_walk_goes_on_from_a_checkpoint(create, tmp_path):
-    path, first, fresh = COMM.bcast(tmp_path / "state.h5"), create(), create()
+def test_a_walk_goes_on_from_a_checkpoint(create, folder):
+    path, first, fresh = folder / "state.h5", create(), create()
     whole = walk(create(), LEVELS)
     walk(first, LEVELS[:2])
     first[0].save(path)
@@ -129,8 +129,8 @@ def test_forces_are_in_balance(create):
 
 
 @KINDS
-def test_results_are_written(create, tmp_path):
-    path, (problem, interface, _) = COMM.bcast(tmp_path / "steps.xdmf"), (made := create())
+def test_results_are_written(create, folder):
+    path, (problem, interface, _) = folder / "steps.xdmf", (made := create())
     walk(made, LEVELS[:1])
     if create is not rigid_side:
         closed, fields = interface.active.x.array > 0.0, problem.output_fields()
