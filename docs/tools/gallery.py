@@ -101,6 +101,18 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "conduct_heat",
+        "Heat: a bar touches a cold wall, to which its pressure lets heat flow.",
+        {"conduct_heat.png": "Horizontal displacement, 100 times enlarged."},
+        example=True,
+    ),
+    Demo(
+        "read_a_deck",
+        "A deck of Abaqus or CalculiX: two cubes and the contact between them.",
+        {"read_a_deck.png": "Von Mises stress."},
+        example=True,
+    ),
+    Demo(
         "bounce_a_rod",
         "Dynamics: a rod hits a wall, for the time of a wave.",
         {"bounce_a_rod.png": "Force over time."},
