@@ -295,7 +295,7 @@ def _of_arrays(
     given: Mapping[str, float], values: Callable[..., PointValues]
 ) -> Callable[[Floats, State], PointValues]:
     """Return a law of arrays as a function of numbers."""
-    p = grouped({name: np.array([value]) for name, value in given.items()})
+    p = {name: np.array([value]) for name, value in given.items()}
 
     return lambda e, state: values(e[None], {n: np.array([v]) for n, v in state.items()}, p)
 

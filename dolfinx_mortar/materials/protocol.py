@@ -50,19 +50,6 @@ def grouped(values: Mapping[str, Any]) -> SimpleNamespace:
     return SimpleNamespace(**groups)
 
 
-def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
-    """Inverse of `grouped`.
-
-    >>> ungrouped(grouped({"a": 1, "b[0]": 2, "b[1]": 3}))
-    {'a': 1, 'b[0]': 2, 'b[1]': 3}
-    """
-    found: dict[str, Any] = {}
-    for name, value in vars(p).items():
-        several = isinstance(value, tuple)
-        found |= {f"{name}[{i}]": v for i, v in enumerate(value)} if several else {name: value}
-    return found
-
-
 def check_fields(law: Any) -> None:
     """Raise ValueError for numbers out of range."""
     kind = type(law)

@@ -16,7 +16,7 @@ from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
-from dolfinx_mortar.materials.protocol import Law, grouped
+from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import (
     Response,
     respond,
@@ -205,7 +205,7 @@ class PointwiseFields(PointValuesOfRegion):
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
         else:
             strain[:, columns, rows] = found
-        p = grouped(region.parameters.values(region.cells, points))
+        p = region.parameters.values(region.cells, points)
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         stress = answer.stress
