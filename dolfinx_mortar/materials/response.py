@@ -154,9 +154,7 @@ class Response:
     start: Expr | None = None  # elastic root
 
 
-def respond(
-    law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Any = None
-) -> Response:
+def respond(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Any = None) -> Response:
     """Stress, energy and new internal variables of a law in UFL; a ValueError if the law fails.
 
     z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
