@@ -142,8 +142,8 @@ class CommittedData:
         self._u, self._responses, self._integral = u, responses, integral
         self._eigenstrain = eigenstrain
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
-        parameters = [region.parameters for region in integral.regions]
-        self._functions = [*self.strained, *(one.function for one in parameters if one.varying)]
+        varying = [region.function for region in integral.regions if region.varying]
+        self._functions = [*self.strained, *varying]
         self._kept: list[Floats] | None = None
         for values in self.complete()[: len(self.strained)]:
             values[:] = 0.0

@@ -343,7 +343,7 @@ class PointState:
         self.staged = {name: f.copy() for name, f in self.committed.items()}
         self.stress = point_function(domain, degree, (3, 3), "stress")
         self.shown: dict[str, fem.Function] = {}
-        self.followed: list[Followed] = [region.parameters for region in regions]
+        self.followed: list[Followed] = [*regions]
         self.followed += [] if eigenstrain is None else [eigenstrain]
         self._comm = domain.comm
 

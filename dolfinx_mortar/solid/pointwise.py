@@ -60,7 +60,7 @@ class PointValuesOfRegion(ABC):
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
-        self._inputs = [region.parameters.function, *self._committed.values(), *inputs]
+        self._inputs = [region.function, *self._committed.values(), *inputs]
         self._seen: list[Floats] = []
         self._create(strain, degree)
 
@@ -197,7 +197,7 @@ class PointwiseFields(PointValuesOfRegion):
         points = self._stress.function_space.dofmap.list.shape[1]
         if self._finite:
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
-        p = region.parameters.values(region.cells, points)
+        p = region.parameters(region.cells, points)
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         rows, columns = np.array(self._entries).T
@@ -237,7 +237,7 @@ class LogarithmicFields(PointwiseFields):
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        names, d = self.region.parameters.names, self._mesh.geometry.dim
+        names, d = self.region.names, self._mesh.geometry.dim
         law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
         return True, self._law.has_energy
@@ -278,7 +278,7 @@ class LogarithmicFields(PointwiseFields):
 
     def _begin(self) -> None:
         q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
-        p = self.region.parameters.values(self.region.cells, points)
+        p = self.region.parameters(self.region.cells, points)
         self._start = self._law.start(q * points, self._state(), p)
 
 

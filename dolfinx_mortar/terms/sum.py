@@ -87,7 +87,7 @@ class Terms:
     def vary(self, K: PETSc.Mat) -> bool:
         """Whether the tangent may differ from K on any rank; collective."""
         found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
-        found += [region.parameters.varying for region in self.solid.regions]
+        found += [region.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
 
     @property
