@@ -113,25 +113,21 @@ def create_eigenstrain(
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
-    for name, value, cells in _parts(domain, given, cell_tags):
+    imap = domain.topology.index_map(domain.topology.dim)
+    every = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+    of_cells = [("eigenstrain", given, every)]
+    if isinstance(given, Mapping):
+        by_tag, tags = by_cells(domain, cell_tags, given, "eigenstrain")
+        of_cells = [
+            (f"eigenstrain[{label(cell_tags, tag)}]", value, every[tags == tag])
+            for tag, value in by_tag.items()
+        ]
+    for name, value, cells in of_cells:
         with raised_together(domain.comm):
             parts.append((name, _as_expression(u, name, value), cells))
     found = Eigenstrain(u, parts, degree)
     found.follow()
     return found
-
-
-def _parts(
-    domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
-) -> list[tuple[str, Any, Ints]]:
-    imap = domain.topology.index_map(domain.topology.dim)
-    if not isinstance(given, Mapping):
-        return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
-    parts, values = by_cells(domain, cell_tags, given, "eigenstrain")
-    return [
-        (f"eigenstrain[{label(cell_tags, tag)}]", value, np.flatnonzero(values == tag).astype("i4"))
-        for tag, value in parts.items()
-    ]
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:

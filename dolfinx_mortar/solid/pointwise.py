@@ -252,11 +252,11 @@ class LogarithmicFields(PointwiseFields):
         if self.normal is not None:
             self._law.find_normal(self._start, H)
         P, A, psi = self._law.response(self._start, H)
-        if not np.isfinite(P.sum() + A.sum()):
+        undefined = ~np.isfinite(P.sum(axis=1) + A.sum(axis=1))
+        if undefined.any():
             F = H + np.eye(3)
-            self._judge(np.asarray(np.linalg.det(F) <= 0.0), F, INSIDE_OUT)
-            whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
-            self._judge(np.logical_not(whole), F, UNDEFINED)
+            self._judge(np.linalg.det(F) <= 0.0, F, INSIDE_OUT)
+            self._judge(undefined, F, UNDEFINED)
         if self.normal is not None:
             self._law.condense(P, A)
             self._set(self.normal, H[:, 2, 2])
