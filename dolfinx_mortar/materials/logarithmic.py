@@ -96,11 +96,8 @@ class LogarithmicLaw:
     def _compile(self, jit: Callable[[Expr], Kernel]) -> None:
         sizes = [len(self._pairs) if shape else 1 for shape in self._memory.values()]
         numbers = constants(len(self._strains) + sum(sizes) + len(self._names))
-
-        def tensor(entries: list[Any]) -> Expr:
-            return from_components(ufl.as_vector(entries))
-
-        law, (strain, state, p) = self.law, self._arguments(list(numbers), tensor)
+        law, columns = self.law, list(numbers)
+        strain, state, p = self._arguments(columns, lambda c: from_components(ufl.as_vector(c)))
         response = respond(law, strain, state, grouped(p))
         changes = {pair: response.change(_unit(*pair)) for pair in self._pairs}
         answers = [response.stress[pair] for pair in self._strains]
@@ -186,11 +183,8 @@ class LogarithmicLaw:
 
     def _values(self, numbers: Floats) -> PointValues:
         """Values of a law of arrays."""
-
-        def tensor(columns: list[Floats]) -> Floats:
-            return tensor_of(np.stack(columns, axis=1))
-
-        return values_at_points(self.law, *self._arguments(list(numbers.T), tensor))
+        arguments = self._arguments(list(numbers.T), lambda c: tensor_of(np.stack(c, axis=1)))
+        return values_at_points(self.law, *arguments)
 
     def find_normal(self, start: Start, H: Floats) -> None:
         """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""

@@ -317,12 +317,12 @@ def values_at_points(
 
     Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,) by name.
     """
-    z, finite = None, law.strain == "finite"
+    z, unit = None, 1.0 if law.strain == "finite" else 0.0
     if law.plane_stress:
         z = _normal_at_points(law, strain, state, p)
-        strain = _flat(strain, 1.0 + z if finite else z)
+        strain = _flat(strain, unit + z)
     found = _updated(law, strain, state, p)
-    if finite and law.energy is not None:
+    if unit and law.energy is not None:
         psi = _call(law, "energy", (len(strain),), strain, state, grouped(p))
         found = dataclasses.replace(found, energy=psi)
     return found if z is None else _condensed(found, z)

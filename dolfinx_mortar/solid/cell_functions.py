@@ -53,12 +53,8 @@ class CellFunctions:
         """Return sum_k c_k N_k."""
         return ufl.dot(coefficients, self.basis)
 
-    def first(self, density: Expr) -> Expr:
-        """Form of `vectors`: int density, then zeros."""
-        return density * self._tests[0][0]
-
     def tested(self, density: Expr) -> Expr:
-        """Form of `vectors`: int density N_k."""
+        """Form of `vectors`: int density N_k, N_0 = 1."""
         return density * ufl.dot(self._tests[0], self.basis)
 
     def paired(self, density: Expr) -> Expr:

@@ -28,7 +28,7 @@ from dolfinx_mortar.materials.protocol import (
     wrong_values,
 )
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import from_components, to_components
+from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.sources import (
     Followed,
@@ -235,18 +235,11 @@ def create_evaluations(
     stress: fem.Function,
 ) -> list[Source]:
     """Compile stress and new internal variables of all regions; collective."""
-    size, evaluations = stress.function_space.dofmap.bs, []
+    evaluations = []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
         given += [(name, staged[name], value) for name, value in response.updated.items()]
-        parts = [
-            Part(
-                f"{region.law.name}: {name}",
-                target,
-                to_components(value, size) if value.ufl_shape else value,
-            )
-            for name, target, value in given
-        ]
+        parts = (Part(f"{region.law.name}: {name}", f, value) for name, f, value in given)
         evaluations.append(create_source(region.cells, *parts))
     return evaluations
 

@@ -217,7 +217,7 @@ class MeanVolume:
             cells.tested(change) * integral.weight * dx,
             cells.tested(J) * integral.weight * dx,
             integral(cells.paired(bulk_modulus_of(r)) for r in regions),
-            integral(map(cells.first, energy)),
+            integral(map(cells.tested, energy)),
             integral(map(cells.tested, slope)),
             integral(map(cells.paired, stiffness)),
         )
