@@ -158,6 +158,7 @@ class PointwiseFields(PointValuesOfRegion):
         self._entries = GRADIENT[d] if self._finite else INDEX[: len(COMPONENTS[d])]
         size = len(self._entries)
         self._stress = point_function(domain, degree, (size,))
+        self._points = self._stress.function_space.dofmap.list.shape[1]
         self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
@@ -194,10 +195,9 @@ class PointwiseFields(PointValuesOfRegion):
 
     def _evaluate(self) -> None:
         region, strain = self.region, self._measured()
-        points = self._stress.function_space.dofmap.list.shape[1]
         if self._finite:
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
-        p = region.parameters(region.cells, points)
+        p = region.parameters(region.cells, self._points)
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         rows, columns = np.array(self._entries).T
@@ -212,8 +212,7 @@ class PointwiseFields(PointValuesOfRegion):
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
         wrong = np.flatnonzero(bad)
         if wrong.size:
-            points = self._stress.function_space.dofmap.list.shape[1]
-            cell, point = divmod(int(wrong[0]), points)
+            cell, point = divmod(int(wrong[0]), self._points)
             method = ".update" if self.region.law.update else ""
             raise ValueError(
                 f"{self.region.law.name}{method} {what} at {wrong.size} integration points, first "
@@ -277,9 +276,9 @@ class LogarithmicFields(PointwiseFields):
         return self._law.stress_lost(self._start, self._gradients)
 
     def _begin(self) -> None:
-        q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
-        p = self.region.parameters(self.region.cells, points)
-        self._start = self._law.start(q * points, self._state(), p)
+        p = self.region.parameters(self.region.cells, self._points)
+        q = self.region.cells.size * self._points
+        self._start = self._law.start(q, self._state(), p)
 
 
 def create_point_values(

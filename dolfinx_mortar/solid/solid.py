@@ -168,7 +168,7 @@ class Solid(Term):
         points.shown |= {} if self.volumes is None else {"J": self.volumes.J}
         if DISSIPATED in points.staged:
             volume = None if dilatation is None else dilatation.densities
-            of = self.regions, responses, self.mesh, cell_tags, degree
+            of = self.regions, responses, cell_tags, degree
             points.densities = EnergyDensities(*of, of_volume=volume)
             points.shown[STORED] = points.densities.stored
         shown, weight = points.staged | points.shown, self.kinematics.weight
