@@ -17,7 +17,6 @@ K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +33,7 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
-from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
+from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
 from dolfinx_mortar.solid.term import assemble, create_vector
 from dolfinx_mortar.spaces import set_owned
@@ -54,16 +53,7 @@ def create_dilatation(
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics
-    check_reducible(u.function_space, integral.regions, kinematics, integral.degree)
-    if kinematics.finite:
-        return MeanVolume(u, integral)
-    return MeanDilatation(u, integral, eigenstrain)
-
-
-def check_reducible(
-    V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
-) -> None:
-    """Raise a ValueError unless a volumetric part can be reduced."""
+    V, regions, degree = u.function_space, integral.regions, integral.degree
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     laws = [r.law for r in regions]
     whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
@@ -87,6 +77,9 @@ def check_reducible(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
+    if kinematics.finite:
+        return MeanVolume(u, integral)
+    return MeanDilatation(u, integral, eigenstrain)
 
 
 class MeanDilatation:
@@ -217,7 +210,7 @@ class MeanVolume:
             cells.tested(change) * integral.weight * dx,
             cells.tested(J) * integral.weight * dx,
             integral(cells.paired(bulk_modulus_of(r)) for r in regions),
-            integral(map(cells.first, energy)),
+            integral(map(cells.tested, energy)),
             integral(map(cells.tested, slope)),
             integral(map(cells.paired, stiffness)),
         )

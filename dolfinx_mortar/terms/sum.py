@@ -67,7 +67,7 @@ class Terms:
     def vary(self, K: PETSc.Mat) -> bool:
         """Whether the tangent may differ from K on any rank; collective."""
         found = [self._ask(name, term, Term.varies, K) for name, term in self.stiff]
-        found += [region.parameters.varying for region in self.solid.regions]
+        found += [region.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
 
     @property
