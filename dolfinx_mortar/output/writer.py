@@ -20,7 +20,7 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.materials.tensor import COMPONENTS
+from dolfinx_mortar.materials.tensor import tensor_of
 from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert, new_step
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
@@ -217,24 +217,11 @@ def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
         rows[V.dofmap.list] = dofmap.list
         rows = rows[: V.dofmap.index_map.size_local]
     values = function.x.array.reshape(-1, dofmap.index_map_bs)[rows]
-    return _pad(values, shape), "Node" if own else "Cell"
-
-
-def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Pad vectors to three components and stored symmetric tensors to three by three.
-
-    >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()
-    [[1.0, 2.0, 0.0]]
-    >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (4,)).tolist()  # xx, yy, zz, xy
-    [[1.0, 4.0, 0.0, 4.0, 2.0, 0.0, 0.0, 0.0, 3.0]]
-    """
     if shape == (2,):
-        return np.pad(values, ((0, 0), (0, 1)))
-    for names in COMPONENTS.values():
-        if shape == (len(names),):
-            nine = [min(a + b, b + a) for a in "xyz" for b in "xyz"]
-            return values @ np.array([[float(own == name) for name in nine] for own in names])
-    return values
+        values = np.pad(values, ((0, 0), (0, 1)))
+    elif shape in ((4,), (6,)):
+        values = tensor_of(values).reshape(-1, 9)
+    return values, "Node" if own else "Cell"
 
 
 class _ToolFile(File):
