@@ -33,7 +33,7 @@ from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing
-from dolfinx_mortar.tags import check_tag, label, tag_of
+from dolfinx_mortar.tags import label, tag_of
 
 SURFACES = one_of("smooth", "facets")
 
@@ -63,7 +63,6 @@ class MortarInterface(Interface):
     ) -> None:
         super().__init__(facet_tags, slave=slave)
         self.master = tag_of(facet_tags, master, "master")
-        check_tag("master", self.master)
         if self.slave == self.master and not self.unilateral:
             raise ValueError(
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
