@@ -185,7 +185,7 @@ TABLES = """
 """.split()
 TAGS = "LOOSE TIGHT FACE EDGE POINT".split()
 # What arguments have to be; the errors say it.
-RULES = "POSITIVE NOT_NEGATIVE POISSON LENGTH CREASE DEPTHS".split()
+RULES = "POSITIVE NOT_NEGATIVE POISSON LENGTH CREASE".split()
 
 
 def test_named_numbers_are_few():

@@ -294,10 +294,8 @@ def _symbols(parameters: Iterable[str], *shapes: tuple[int, ...]) -> list[Any]:
 
 
 def _entries(*values: Expr) -> Expr:
-    entries: list[Expr] = []
-    for value in values:
-        entries += [value[i, j] for i in range(3) for j in range(3)] if value.ufl_shape else [value]
-    return ufl.as_vector(entries)
+    every = ((value, at) for value in values for at in np.ndindex(value.ufl_shape))
+    return ufl.as_vector([value[at] if at else value for value, at in every])
 
 
 class _Judge:

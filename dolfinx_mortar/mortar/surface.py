@@ -32,7 +32,7 @@ from dolfinx_mortar.geometry.flat import thickness
 from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, sort_in_space
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.spaces import check_space, connected_parts
-from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
+from dolfinx_mortar.tags import check_entities, label, labels, tag_of
 
 _MOST_WARPED = 0.3
 """Least quality of facets, see `distortions`: the cosine between the normal at a corner and the
@@ -113,7 +113,6 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
-    check_tag(name, tag)
     if not compat.on_same_mesh(facet_tags, V.mesh):
         raise ValueError(
             f"facet_tags ({name}={label(facet_tags, tag)}) belong to another mesh than V."
@@ -221,7 +220,7 @@ def create_surface(
     """
     check_space(V)
     element = _element(V)
-    value: int = tag_of(facet_tags, tag, name)
+    value = tag_of(facet_tags, tag, name)
     entities = _marked_facets(V, facet_tags, value, name)
     nodes_of, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]

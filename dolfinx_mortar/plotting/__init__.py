@@ -134,16 +134,8 @@ def field(
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
     tools = [one.tool.outline() for one in every if one.tool is not None]
 
-    def draw(drawer: Any, on: Any) -> None:
-        assert bodies is not None
-        drawer.draw_field(on, bodies, name)
-        if tools and len(bodies.x):
-            x = bodies.x[:, :d]
-            low, high = x.min(axis=0), x.max(axis=0)
-            beside = 0.1 * np.linalg.norm(high - low)
-            drawer.draw_tools(on, tools, low - beside, high + beside)
-
-    return _on_rank_0(V.mesh, (file, view, ax), draw)
+    to = file, view, ax
+    return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))
 
 
 def pressure(
@@ -198,10 +190,13 @@ def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
 def _on_rank_0(
     domain: dmesh.Mesh,
     to: tuple[File, Any, Any],
-    draw: Callable[[Any, Any], None],
+    draw: Callable[[Any, Any], Any],
     panes: int = 1,
 ) -> Any:
-    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective."""
+    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective.
+
+    `draw` may return a direction to look from.
+    """
     dim, (file, view, ax) = domain.geometry.dim, to
     with raised_together(domain.comm):
         check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
@@ -221,8 +216,8 @@ def _on_rank_0(
     with raised_together(domain.comm):
         if domain.comm.rank == 0:
             result = drawer.begin(file, ax, panes)
-            draw(drawer, result)
-            drawer.finish(result, file, view)
+            own = draw(drawer, result)
+            drawer.finish(result, file, own if view is None else view)
     return result
 
 
@@ -234,6 +229,13 @@ class Parts:
     nodes: Longs  # (m, k): vertices in order around the part, middles of edges, interior node
     values: np.ndarray  # (n,) at nodes, or (m,)
     at_nodes: bool
+
+    @property
+    def box(self) -> Floats:
+        """Box (2, 3) around the parts, enlarged by a tenth of its diagonal."""
+        low, high = self.x.min(axis=0), self.x.max(axis=0)
+        beside = 0.1 * np.linalg.norm(high - low)
+        return np.stack([low - beside, high + beside])
 
     @property
     def polygons(self) -> Longs:

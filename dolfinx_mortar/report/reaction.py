@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
-from dolfinx_mortar.mortar.surface import check_tag, check_tags
+from dolfinx_mortar.mortar.surface import check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_conditions, check_problem
@@ -177,7 +177,6 @@ def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Boo
         if not on_same_mesh(tags, mesh):
             raise ValueError("facet_tags is of another mesh than that of the displacement")
         tag = tag_of(tags, support, "support")
-        check_tag("support", tag)
         entities = tags.find(tag)
     if not problem.comm.allreduce(len(entities), op=MPI.SUM):
         own = problem.comm.allgather(np.unique(tags.values).tolist())

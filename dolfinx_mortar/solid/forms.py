@@ -14,7 +14,6 @@ import basix
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.jit import get_options
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
@@ -93,8 +92,9 @@ class Forms:
         energies = [r.energy for r in responses if r.energy is not None]
         together = [residual, integral(elastic), scale]
         together += [integral(energies)] if len(energies) == len(regions) else []
-        self.residual, self.elastic_norm, self.element_force, *energy = compat.compile_together(
-            *together, compiler=unrolled(V.mesh.topology.cell_name())
+        options = {"cffi_extra_compile_args": unrolled(V.mesh.topology.cell_name())}
+        self.residual, self.elastic_norm, self.element_force, *energy = fem.form(
+            together, jit_options=options
         )
         self.energy: fem.Form | None = energy[0] if energy else None
         self.tangent = MatrixForm(fem.form(tangent, jit_options=in_any_order()))

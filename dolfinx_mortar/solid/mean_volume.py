@@ -26,7 +26,6 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
@@ -95,11 +94,8 @@ class MeanDilatation:
         self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
         trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
         size, dx = integral.weight * test, measure(V.mesh, integral.degree)
-        B, volumes, self._modulus = compat.compile_together(
-            trace * size * dx,
-            size * dx,
-            integral(bulk_modulus_of(r) * test for r in integral.regions),
-        )
+        modulus = integral(bulk_modulus_of(r) * test for r in integral.regions)
+        B, volumes, self._modulus = fem.form([trace * size * dx, size * dx, modulus])
         self._B = RowsOfCells(B, 1)
         self._B.assemble()
         self._volumes = assemble(volumes, self._vector).copy()
@@ -206,13 +202,15 @@ class MeanVolume:
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
-        B, self._volume_form, self._bulk_form, *self._energy_forms = compat.compile_together(
-            cells.tested(change) * integral.weight * dx,
-            cells.tested(J) * integral.weight * dx,
-            integral(cells.paired(bulk_modulus_of(r)) for r in regions),
-            integral(map(cells.tested, energy)),
-            integral(map(cells.tested, slope)),
-            integral(map(cells.paired, stiffness)),
+        B, self._volume_form, self._bulk_form, *self._energy_forms = fem.form(
+            [
+                cells.tested(change) * integral.weight * dx,
+                cells.tested(J) * integral.weight * dx,
+                integral(cells.paired(bulk_modulus_of(r)) for r in regions),
+                integral(map(cells.tested, energy)),
+                integral(map(cells.tested, slope)),
+                integral(map(cells.paired, stiffness)),
+            ]
         )
         self._B = RowsOfCells(B, cells.size)
 

@@ -20,7 +20,7 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, assemble
-from dolfinx_mortar.tags import check_entities, check_tag, find_exterior, in_order, tag_of, tags_of
+from dolfinx_mortar.tags import check_entities, find_exterior, in_order, tag_of, tags_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
@@ -131,7 +131,6 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
     with raised_together(domain.comm):
         check_entities("facet_tags", facet_tags)
     number = tag_of(facet_tags, tag, "tag")
-    check_tag("tag", number)
     facet_tags = in_order(facet_tags)
     sizes = np.array([len(found) for found in find_exterior(facet_tags, number, domain)])
     marked, outside = domain.comm.allreduce(sizes)
