@@ -29,7 +29,7 @@ from dolfinx_mortar.geometry.facets import (
     surface_gradients,
 )
 from dolfinx_mortar.geometry.flat import thickness
-from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, sort_in_space
+from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, groups_in_space
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.spaces import check_space, connected_parts
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
@@ -504,9 +504,7 @@ def find_receivers(
 
     For projections of facets x (m, k, d) along directions (m, k', d), bounded in compact groups.
     """
-    order, size = sort_in_space(x.mean(axis=1)), 1
-    while size**2 < len(x):  # powers of 2: groups are compact
-        size *= 2
+    order, size = groups_in_space(x.mean(axis=1))
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
     for group in (order[first : first + size] for first in range(0, len(x), size)):
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))

@@ -17,12 +17,12 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Blocks
 from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry import area, line
+from dolfinx_mortar.geometry import line
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.curvature import height_table, node_pairs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sides, Sums, whole
+from dolfinx_mortar.geometry.moments import Sides, Sums, moments_in_space, whole
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
@@ -113,7 +113,7 @@ def _sums(
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
     sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((counts[1], k, 2)))
-    (line if d == 2 else area).moments(sides, heights, types, sums)
+    (line.moments if d == 2 else moments_in_space)(sides, heights, types, sums)
     return sums
 
 
