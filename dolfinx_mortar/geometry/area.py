@@ -91,15 +91,6 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     return behind if i == a else not behind
 
 
-# Loops: each array assignment takes a second to compile.
-
-
-@numba.njit(**KERNEL)
-def _copy(P, n, Q):  # type: ignore[no-untyped-def]
-    for i in range(n):
-        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
-
-
 @numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
@@ -114,7 +105,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
-    _copy(given[i], given_sizes[i], pieces[0])
+    plane.copy(given[i], given_sizes[i], pieces[0])
     sizes[0], count = given_sizes[i], 1
     for j in range(n):
         if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
@@ -133,7 +124,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
             if count + VERTICES > len(sizes):
                 pieces, sizes = _doubled(pieces), _doubled(sizes)
             size, sizes[k] = sizes[k], 0
-            _copy(pieces[k], size, common)
+            plane.copy(pieces[k], size, common)
             if size > 2:
                 count = plane.subtract(
                     common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare

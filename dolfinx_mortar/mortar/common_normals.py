@@ -8,7 +8,6 @@ facets in the plane.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -152,21 +151,8 @@ class CommonNormals:
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned master nodes
     below_edges: Bools  # (n,) coupled to an edge of the master, not on one
-    differentiate: Callable[[], tuple[Floats, Floats]]  # -> by_slave, by_master
-
-    @cached_property
-    def _derivatives(self) -> tuple[Floats, Floats]:
-        return self.differentiate()
-
-    @property
-    def by_slave(self) -> Floats:
-        """Derivatives (n, d, d) by the averaged normal of the node."""
-        return self._derivatives[0]
-
-    @property
-    def by_master(self) -> Floats:
-        """Derivatives (n, d, d) by sum_l M_jl n_l."""
-        return self._derivatives[1]
+    # -> derivatives (n, d, d) by the averaged normal of the node, and by sum_l M_jl n_l
+    differentiate: Callable[[], tuple[Floats, Floats]]
 
     def everywhere(self, slave: Surface) -> Floats:
         """Normals at all local slave nodes (n, d); collective."""

@@ -96,17 +96,6 @@ def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
             sums[where[q], i] += Phi[i, q] * values[q]
 
 
-def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
-    """Integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
-
-    Example:
-        >>> covered_weights(np.array([[0.75, 0.25]]), np.array([1.0]), np.array([1]), 2)
-        array([[0.  , 0.  ],
-               [0.75, 0.25]])
-    """
-    return sums_of_products(weight[:, None], N_s, slave, m)[:, 0]
-
-
 class Integrated(Protocol):
     """Data for integrals over a slave side."""
 

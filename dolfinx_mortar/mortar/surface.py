@@ -16,7 +16,7 @@ import basix
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -26,7 +26,6 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     normals_at_nodes,
     scaled_normals,
-    surface_gradients,
 )
 from dolfinx_mortar.geometry.flat import thickness
 from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, groups_in_space
@@ -414,60 +413,6 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
     turn = np.where(turns > np.radians(feature_angle / 2), 0.0, turns).max(axis=1, initial=0.0)
     sagitta = facet_sizes(facets.x) * turn / (4 * surface.element.degree**2)
     return nodal_means(surface, sagitta[:, None])[:, 0]
-
-
-def normal_derivatives(surface: Surface, x: Floats) -> Floats:
-    """Terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
-
-    [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
-    G_l (n_f.dx_l), with surface gradients G_l at node j and S = sum_f n_f.
-    """
-    facets = facets_at(surface, x)
-    at_nodes = normals_at_nodes(facets)
-    total = sum_at_nodes(surface, at_nodes)
-    size = np.linalg.norm(total, axis=1)
-    n = total / np.maximum(size, TINY)[:, None]
-    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(x.shape[1]), 0.0)
-    across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
-    gradients = _gradients_at_nodes(facets)
-    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
-    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
-
-
-def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Surface gradients [f, j, l] of N_l at node j."""
-    element, (m, k, d) = facets.element, facets.x.shape
-    points = element.points
-    if element.degree == 1:  # the mean normal is that at the centre
-        points = np.broadcast_to(points.mean(axis=0), points.shape)
-    which = np.repeat(np.arange(m, dtype=np.int32), k)
-    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
-    return gradients.reshape(m, k, k, d)
-
-
-def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
-    """Coefficients W (m, k, k), by which tangential v_j (n, d) move with the surface; collective.
-
-    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j: the mean of F_f
-    a_j with the deformation gradients F_f = sum_l x_l grad N_l^T. Zero where n_j is, or without a
-    common tangent.
-    """
-    facets, d = facets_at(surface, x), x.shape[1]
-    n_f = normals_at_nodes(facets)
-    tangents = np.eye(d) - n_f[:, :, :, None] * n_f[:, :, None]
-    one = np.ones((*surface.facets.shape, 1))
-    columns = np.concatenate([tangents.reshape(*surface.facets.shape, d * d), one], axis=2)
-    total = sum_at_nodes(surface, columns)
-    count = np.maximum(total[:, -1], 1.0)
-    mean = total[:, :-1].reshape(-1, d, d) / count[:, None, None]
-    along = n[:, :, None] * n[:, None]
-    across = np.eye(d) - along
-    whole = across @ mean @ across + along
-    some = (np.linalg.det(whole) > HALF_OF_DIGITS) & n.any(axis=1)
-    whole[~some] = np.eye(d)
-    a = np.where(some[:, None], np.linalg.solve(whole, vectors[:, :, None])[:, :, 0], 0.0)
-    a /= count[:, None]
-    return np.einsum("mjld,mjd->mjl", _gradients_at_nodes(facets), a[surface.facets])
 
 
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
