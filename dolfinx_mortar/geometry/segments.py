@@ -152,9 +152,7 @@ class Segments:
     @property
     def covered(self) -> Ints:
         """Slave facets (c,), ascending, with points."""
-        first = np.ones(len(self.slave), dtype=bool)
-        np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
-        return self.slave[first]
+        return np.unique(self.slave)
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:

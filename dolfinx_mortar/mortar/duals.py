@@ -211,9 +211,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
         slave: (q,) facet of each point, ascending.
         kept: (m, k) nodes with a multiplier.
     """
-    columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
-    at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
-    Phi, inverse = _all_duals(columns, weight, *at)
+    Phi, inverse = _all_duals(np.ascontiguousarray(N.T), weight, slave, kept)
     return Duals(np.asarray(Phi.T), kept, inverse)
 
 

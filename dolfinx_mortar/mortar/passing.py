@@ -143,15 +143,10 @@ def _passed(
     ]
     passed = np.unique(np.concatenate(found))
     if comm.allreduce(len(passed), op=MPI.SUM):
-        skin = np.concatenate(comm.allgather(flat_parts(facets[0])))
-        passed = np.setdiff1d(passed, _outside(faces, start_at, skin))
+        # not those that have left their own body as it bends
+        inward = np.concatenate(comm.allgather(flat_parts(facets[0])))[:, ::-1]
+        passed = np.setdiff1d(passed, find_passing((faces, start_at), (inward, inward)))
     return _first(side, other, faces, passed)
-
-
-def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Middles (q,) that have left their body as it bends, ascending."""
-    inward = skin[:, ::-1]
-    return find_passing((faces, middles), (inward, inward))
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -36,18 +36,6 @@ from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 _MOST_WARPED = 0.3
 """Least quality of facets, see `distortions`: the cosine between the normal at a corner and the
 mean normal, along which the facet is projected. At 0.3 areas are divided by more than three."""
-
-
-class Nodes(Protocol):
-    """Local nodes; each is also among the nodes of its owner."""
-
-    @property
-    def V(self) -> dolfinx.fem.FunctionSpace:
-        """Displacement space."""
-
-    @property
-    def sums(self) -> PETSc.Vec:
-        """One entry per node, ghosted: work vector of `accumulate`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +165,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
     return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
 
 
-def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
+def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
     """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
     owned = np.flatnonzero(marks(index_map, nodes)[: index_map.size_local])
@@ -225,7 +213,7 @@ def create_surface(
     nodes_of, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes_of = _order_outwards(X, nodes_of, cells, V)
-    nodes, owned, sums = create_sums(V, np.unique(nodes_of))
+    nodes, owned, sums = _create_sums(V, np.unique(nodes_of))
     called = label(facet_tags, value)
     facets = Facets(element, X[nodes_of])
     _check_shapes(facets, V.mesh.comm, f"{name}={called}")
@@ -335,7 +323,7 @@ def cells_of(surface: Surface) -> Ints:
     return facet_nodes(surface.V, surface.entities)[1]
 
 
-def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
+def accumulate(surface: Surface, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
     """Sums over ranks of nodal values (n,) or (n, c), or maxima, also at ghosts (collective)."""
     mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
     result = np.array(values, dtype=float)
