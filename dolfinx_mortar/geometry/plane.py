@@ -156,6 +156,13 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
+def copy(P, n, Q):  # type: ignore[no-untyped-def]
+    """Write the polygon P into Q: loops, as array assignments take a second each to compile."""
+    for i in range(n):
+        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
+
+
+@numba.njit(**KERNEL)
 def halve(P, n, Q):  # type: ignore[no-untyped-def]
     """Keep one half of P, write the other into Q; return the sizes."""
     half = n // 2
@@ -217,14 +224,12 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
 @numba.njit(**KERNEL)
 def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
     """Write P cut by the convex Q into out; return its size."""
-    for i in range(n):
-        out[i, 0], out[i, 1] = P[i, 0], P[i, 1]
+    copy(P, n, out)
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         a, b = (i, j) if sign > 0 else (j, i)
         n = cut(out, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
-        for k in range(n):
-            out[k, 0], out[k, 1] = spare[k, 0], spare[k, 1]
+        copy(spare, n, out)
         if n < 3:
             return 0
     return n
@@ -252,8 +257,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
     """Append the convex pieces of P without Q; return the new count."""
     rest = np.empty((VERTICES, 2))
-    for i in range(n):
-        rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
+    copy(P, n, rest)
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         a, b = (i, j) if sign > 0 else (j, i)
@@ -262,8 +266,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
             sizes[count] = size
             count += 1
         n = cut(rest, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
-        for k in range(n):
-            rest[k, 0], rest[k, 1] = spare[k, 0], spare[k, 1]
+        copy(spare, n, rest)
         if n < 3:
             break
     return count

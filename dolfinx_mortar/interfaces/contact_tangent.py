@@ -41,9 +41,14 @@ from dolfinx_mortar.mortar.surface import (
     coordinates,
     facets_at,
     nodal_normals,
+)
+from dolfinx_mortar.mortar.tangent import (
+    Derivatives,
+    Tractions,
+    differentiate,
+    differentiate_whole,
     normal_derivatives,
 )
-from dolfinx_mortar.mortar.tangent import Derivatives, Tractions, differentiate, differentiate_whole
 from dolfinx_mortar.shapes.shape import unit_vectors
 
 
@@ -224,7 +229,7 @@ class _Normals:
         )
         nodes: Ints = np.arange(len(link.nodes), dtype=np.int32)[:, None]
         by_slave, by_master = (
-            [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in (common.by_slave, common.by_master)
+            [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in common.differentiate()
         )
         return self._sum.fill([], (by_slave, self._N), (by_master, facing))
 
