@@ -82,7 +82,7 @@ def create_audit(
         if link.pairing:
             _check_sides(link, bodies, x, increment)
     found = [audit_sides(link, x) for link in links]
-    warnings = list(system.notes) + empty
+    warnings = list(system.present.claims.notes) + empty
     if by_contact:
         warnings.append(
             f"contact alone holds {'; '.join(by_contact)}: the loads must press the sides together"

@@ -204,6 +204,8 @@ def _resultants(
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = comm.allreduce(local, op=MPI.SUM)
+    rigid = link.interface.rigid
+    place = np.zeros(0) if rigid is None else rigid.place()
     found = Resultants(
         force=total[0, 0, :d],
         moment=total[0, 1],
@@ -212,14 +214,9 @@ def _resultants(
         multiplier=multiplier[:, 0] if link.unilateral else multiplier,
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
-        place=_place_of(link.interface),
+        place=np.append(place, np.zeros(3 - len(place))),
     )
     return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
-
-
-def _place_of(interface: Interface) -> Floats:
-    place = np.zeros(0) if interface.rigid is None else interface.rigid.place()
-    return np.append(place, np.zeros(3 - len(place)))
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
