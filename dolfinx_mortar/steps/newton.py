@@ -150,7 +150,9 @@ def solve_step(
                 f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
                 "solver does not use them"
             )
-        report.notes += [note for note in problem.system.notes if note not in report.notes]
+        report.notes += [
+            note for note in problem.system.present.claims.notes if note not in report.notes
+        ]
     problem.told[:] = [report.notes]
     return report
 
