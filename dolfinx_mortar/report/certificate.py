@@ -135,7 +135,7 @@ def create_certificate(
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
-        left_out_strain=left_out.relative,
+        left_out_strain=ratio(left_out.strain, left_out.largest),
         left_out_work=left_out.work,
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
