@@ -100,10 +100,10 @@ def find_positions(
             f"nodes of V; give V the degree {degree}, or interpolate u into degree {degrees[0]}."
         )
 
-    fitting = [
-        W for W in spaces if W.dofmap.index_map_bs == d and W.element.basix_element.degree == degree
-    ]
-    found, *_ = fitting or [dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))]
+    found = dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))
+    for W in spaces[:1] if same_nodes else spaces[::-1]:
+        if W.dofmap.index_map_bs == d and W.element.basix_element.degree == degree:
+            found = W
     same = not same_nodes or np.array_equal(found.dofmap.list, V.dofmap.list)
     if not V.mesh.comm.allreduce(same, op=MPI.LAND):
         raise ValueError(
