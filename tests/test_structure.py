@@ -27,7 +27,7 @@ BELOW = {
     "interfaces": {"algebra", "geometry", "mortar", "shapes"},
     "qp": {"algebra"},
     "supports": {"algebra", "geometry", "interfaces", "solid"},
-    "audit": {"supports", *("algebra", "geometry", "mortar", "interfaces")},
+    "audit": {"supports", *("algebra", "geometry", "mortar", "interfaces", "solid")},
     "persistence": {"supports", "algebra", "interfaces", "materials", "solid"},
     "problem": {
         *("audit", "persistence", "supports", "terms"),

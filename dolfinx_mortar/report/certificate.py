@@ -108,15 +108,12 @@ def create_certificate(
     errors = [operator_errors(link, problem.X, length) for link in links if link.pairing] or [
         (0.0, 0.0)
     ]
-    kept = [link.coupling.kept.any(axis=1) for link in links]
-    covered = [link.coupling.coverage.share for link in links]
-    counts = [
-        sum(int(k.sum()) for k in kept),
-        sum(int(((c > 0) & ~k).sum()) for c, k in zip(covered, kept, strict=True)),
-        int(contacts.active.sum()),
-    ]
-    counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
-    least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
+    counts, least = np.array([0, 0, contacts.active.sum()]), 1.0
+    for link in links:
+        kept, share = link.coupling.kept.any(axis=1), link.coupling.coverage.share
+        counts[:2] += kept.sum(), ((share > 0.0) & ~kept).sum()
+        least = min(least, float(share[kept].min(initial=1.0)))
+    counts = problem.comm.allreduce(counts, op=MPI.SUM)
     return Certificate(
         equilibrium=residual.forces,
         gap=ratio(deepest, length),
@@ -135,7 +132,7 @@ def create_certificate(
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
-        left_out_strain=left_out.relative,
+        left_out_strain=ratio(left_out.strain, left_out.largest),
         left_out_work=left_out.work,
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
