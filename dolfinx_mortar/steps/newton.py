@@ -252,7 +252,8 @@ class _Step:
         if updated:
             given = contact_forces(problem, contacts)
             problem.follow_geometry()
-            turned = problem.vector(contact_forces(problem, contacts) - given).norm()
+            change = (contact_forces(problem, contacts) - given).sum(axis=0)
+            turned = problem.vector(change.ravel()).norm()
         balance = self.balance(contacts)
         geometry = self.gap_error(found, moved.length, balance, contacts) if updated else 0.0
 
