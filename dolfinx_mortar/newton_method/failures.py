@@ -9,7 +9,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.mortar.passing import (
-    Middles,
     Passing,
     find_middles,
     find_passed,
@@ -62,14 +61,14 @@ WITHOUT_EFFECT = (
     "slave node has a multiplier, so that the contact has no effect; let the other side be the "
     "slave"
 )
-HARDEN = "or give the law hardening"
-NO_POTENTIAL = "has no potential, so that steps are whole, without a line search, or fail: take "
-NO_POTENTIAL += "smaller load steps"
-CLOSED = "closed=True of a Pressure holds where the surface is closed, or its edges are held or "
-CLOSED += (
-    "slide in planes through the origin, with a uniform p: say it there, and elsewhere leave it "
+NO_POTENTIAL = (
+    "has no potential, so that steps are whole, without a line search, or fail: take smaller load "
+    "steps"
 )
-CLOSED += "out"
+CLOSED = (
+    "closed=True of a Pressure holds where the surface is closed, or its edges are held or slide "
+    "in planes through the origin, with a uniform p: say it there, and elsewhere leave it out"
+)
 # Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
 # of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum.
 BY_THEMSELVES = (
@@ -107,7 +106,10 @@ def explain(
     if flowing:  # solvers report a singular matrix as a free body
         report.notes.append(seen)
         seen, least = flowing, "reduce the load" if is_loaded(problem) else "take smaller steps"
-        why = [f"Without hardening a law carries no more than its limit load: {least}, {HARDEN}"]
+        why = [
+            f"Without hardening a law carries no more than its limit load: {least}, or give the "
+            "law hardening"
+        ]
     elif held := problem.held_by_contact():
         seen += f"; contact alone holds {'; '.join(held)}"
         if problem.system.has_friction:
@@ -204,7 +206,14 @@ def describe_passing(problem: ContactProblem) -> str:
     before, now = problem.committed.displacement, problem.u.x.array[: d * n]
     began: fem.Function | None = None
     if system.middles is None:
-        system.middles = _find_middles(problem)
+        system.middles = [()] * len(system.interfaces)
+        if any(system.opposite):
+            body_of, boundary = problem.bodies.of_cells, system.boundary
+            outer = boundary.facets, body_of[boundary.cells]
+            system.middles = [
+                tuple(find_middles(side, body_of[cells_of(side)], *outer) for side in surfaces)
+                for surfaces in system.opposite
+            ]
     for interface, middles, sides in zip(
         system.interfaces, system.middles, system.sides, strict=True
     ):
@@ -238,26 +247,9 @@ def _describe(found: Passing, master: bool) -> str:
         )
     who, into = "the side has passed through the tool", "tool"
     if found.surface is not None:
-        who, into = (
-            f"the {'master' if master else 'slave'} side has passed through the other one",
-            "other body",
-        )
+        side, into = "master" if master else "slave", "other body"
+        who = f"the {side} side has passed through the other one"
     return (
         f"{who}, at {found.count} facets, such as the one that began around {at}; no step may "
         f"bring the middle of the body, {found.depth:.3g} behind that facet, into the {into}"
     )
-
-
-def _find_middles(problem: ContactProblem) -> list[tuple[Middles, ...]]:
-    if not any(problem.system.opposite):
-        return [()] * len(problem.interfaces)
-    body_of = problem.bodies.of_cells
-    found = []
-    boundary = problem.system.boundary
-    for surfaces in problem.system.opposite:
-        parts = [
-            find_middles(s, body_of[cells_of(s)], boundary.facets, body_of[boundary.cells])
-            for s in surfaces
-        ]
-        found.append(tuple(parts))
-    return found

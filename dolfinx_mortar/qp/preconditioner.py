@@ -39,7 +39,6 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # failures of an iteration with an old set-up
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
