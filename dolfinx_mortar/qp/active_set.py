@@ -14,7 +14,6 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import from_callbacks
 from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.qp.bound_qp import (
-    KKT,
     BoundQP,
     QPNotSolved,
     QPSolution,
@@ -23,7 +22,17 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 from dolfinx_mortar.qp.condensed import Condensed
-from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, Solver, State, update
+from dolfinx_mortar.qp.held import (
+    LOOSE,
+    SHARE,
+    TIGHT,
+    HeldProblem,
+    Outcome,
+    Solver,
+    State,
+    nearest,
+    update,
+)
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
 
@@ -58,51 +67,39 @@ def solve(
 
     Raises:
         QPNotSolved: if no updates end.
+        LinAlgError: if the check of a condensed one fails.
     """
-    law = qp.friction
-    if linear.schur is not None:
-        found, at, x, z, kkt = _find_condensed(qp, linear, start, rtol)
-    else:
-        found = _find(qp, linear, start, rtol, guess)
-        at, x, z, kkt = _of_whole(qp, found)
-    state, directions = found.state, None
-    active = state.active
-    if is_noise(at, x, z):
-        active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
-    if law is not None:
-        directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
-    return QPSolution(
-        *(x, z, active, kkt, found.updates, 0, 0, "active-set"),
-        sliding=directions,
-        travel=None if qp.scalars is None else found.q,
-        resistance=found.resistance,
-    )
-
-
-def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """The QP moved by its scalars, x, b - A x, and the check; collective."""
-    at = qp if qp.scalars is None else moved(qp, found.q)
-    x = qp.b.duplicate()
-    x.array[:] = found.x
-    z = reaction(at, x)
-    return at, x, z, check(at, x, z)
-
-
-def _find_condensed(
-    qp: BoundQP, linear: LinearSolver, start: State, rtol: float
-) -> tuple[_Found, BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """Solve by a dense matrix; LinAlgError if the check fails."""
-    condensed = Condensed(qp, linear, SHARE * rtol * qp.b.norm())
-    x = None
+    if linear.schur is None:
+        return _solution(qp, _find(qp, linear, start, rtol, guess))
+    condensed, x = Condensed(qp, linear, SHARE * rtol * qp.b.norm()), None
     for _ in range(2):
         at = condensed.about(x)
         found = _find(at, condensed.dense, start, rtol)
         linear.beyond = condensed.dense.negative(found.state.held(at))
         start, x = found.state, condensed.expand(found.x)
-        whole = _of_whole(qp, replace(found, x=x))
-        if whole[-1].satisfied(rtol):
-            return found, *whole
+        solution = _solution(qp, replace(found, x=x))
+        if solution.kkt.satisfied(rtol):
+            return solution
     raise np.linalg.LinAlgError
+
+
+def _solution(qp: BoundQP, found: _Found) -> QPSolution:
+    """Solution with its check, of the QP moved by its scalars; collective."""
+    at = qp if qp.scalars is None else moved(qp, found.q)
+    x = qp.b.duplicate()
+    x.array[:] = found.x
+    z, active, directions = reaction(at, x), found.state.active, None
+    if is_noise(at, x, z):
+        active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
+    if (law := qp.friction) is not None:
+        slips = found.state.slips(law)[:, None]
+        directions = np.where(slips, found.state.directions, 0.0)
+    return QPSolution(
+        *(x, z, active, check(at, x, z), found.updates, 0, 0, "active-set"),
+        sliding=directions,
+        travel=None if qp.scalars is None else found.q,
+        resistance=found.resistance,
+    )
 
 
 def _find(
@@ -154,7 +151,10 @@ def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
             first = problem.best or start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
-            outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)
+            outcome, first = (
+                Outcome(first, 0, reason),
+                State.create(problem.qp, nearest(problem.qp)),
+            )
             problem.forget()
         level = TIGHT
     return outcome

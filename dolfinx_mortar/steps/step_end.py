@@ -3,10 +3,9 @@
 
 from dolfinx_mortar.newton_method.contacts import (
     Residuals,
+    contact_forces,
     find_sliders,
     gap_round_off,
-    normal_forces,
-    tangential_forces,
 )
 from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
 from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
@@ -47,10 +46,10 @@ def finish(
     problem.raise_failed()
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired_at
-    forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
+    normal, tangential = -contact_forces(problem, contacts)
     ended = problem.ends_of_interfaces()
     closed = contacts.active, contacts.sliding
-    outcome = StepOutcome(at, *closed, paired, slips, *forces, ended)
+    outcome = StepOutcome(at, *closed, paired, slips, normal, tangential, ended)
     problem.outcome, problem.committed.supports = outcome, supports
     report.converged = True
 
