@@ -348,9 +348,7 @@ class ContactProblem:
 
     def positions(self) -> PETSc.Vec:
         """Vector X + u."""
-        x = self.vector(self.X)
-        x.array[:] += self.u.x.array[: x.local_size]
-        return x
+        return self.vector(self.X.ravel() + self.owned_u)
 
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
@@ -362,13 +360,13 @@ class ContactProblem:
         outcome = self.ended_here()
         before = outcome.before if outcome and outcome.before else Before(self.state, None)
         with self.timings("commit"), self.undone(before):
-            ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
+            ended = outcome.ended if outcome else ()
+            ended = ended or [interface.state(True) for interface in self.interfaces]
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
-            states = [interface.state(False) for interface in self.interfaces]
             with raised_together(self.comm):
-                for interface, now, end in zip(self.interfaces, states, ended, strict=True):
-                    interface.restore({**now, **end})
+                for interface, end in zip(self.interfaces, ended, strict=True):
+                    interface.restore(end)
             self.outcome = None
 
     @contextmanager
@@ -395,14 +393,6 @@ class ContactProblem:
         outcome = self.ended_here() if self.in_time else None
         if outcome is not None and outcome.before is not None:
             self.undo(outcome.before)
-
-    def ends_of_interfaces(self) -> list[Any]:
-        """States that a commit changes; collective."""
-        pairs = [(one.state(False), one.state(True)) for one in self.interfaces]
-        return [
-            {name: v for name, v in end.items() if not np.array_equal(v, now[name])}
-            for now, end in pairs
-        ]
 
     def ended_here(self) -> StepOutcome | None:
         """Outcome of the last step, None if u has changed; collective."""

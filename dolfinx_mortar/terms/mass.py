@@ -39,13 +39,8 @@ class Mass:
 
     matrix: PETSc.Mat
     X: Floats  # (owned nodes, d)
+    massless: Bools  # (owned nodes,)
     extension: PETSc.Mat | None = None  # P, None for the identity
-    bare: Bools | None = None  # (owned nodes,) massless; None for none
-
-    @property
-    def massless(self) -> Bools:
-        """Massless owned nodes."""
-        return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
 
     def times(self, values: Floats) -> Floats:
         """Return M* v; collective."""
@@ -117,7 +112,7 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
     matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))
     matrix.assemble()
     n, d = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
-    return Mass(matrix, np.asarray(V.tabulate_dof_coordinates()[:n, :d]))
+    return Mass(matrix, V.tabulate_dof_coordinates()[:n, :d], np.zeros(n, dtype=bool))
 
 
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
@@ -131,7 +126,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     while True:
         if not comm.allreduce(bool(contact.any()), op=MPI.LOR):
             return plain
-        extension, bare = _extension(plain, contact)
+        extension, massless = _extension(plain, contact)
         moved = plain.matrix.ptap(extension)
         scale, restored = _restore_moments(plain, moved, body, degree)
         if restored.all():
@@ -141,7 +136,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     v = moved.createVecRight()
     v.array[:] = scale
     moved.diagonalScale(v, v)
-    return replace(plain, matrix=moved, extension=extension, bare=bare)
+    return replace(plain, matrix=moved, extension=extension, massless=massless)
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
