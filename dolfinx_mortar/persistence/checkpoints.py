@@ -230,7 +230,6 @@ def describe(state: ProblemState) -> dict[str, Any]:
     solid, V = state.solid, state.solid.V
     domain, fields = V.mesh, solid.points.lasting_fields() | state.states_of_terms
     materials = [material for region in solid.regions for material, _ in region.parts]
-    sizes = {name: f.function_space.dofmap.bs for name, f in sorted(fields.items())}
     found = {
         "mesh: dimension": domain.geometry.dim,
         "mesh: cell": domain.topology.cell_name(),
@@ -242,8 +241,8 @@ def describe(state: ProblemState) -> dict[str, Any]:
         "solid: materials": ", ".join(type(material).__name__ for material in materials),
         "problem: geometry": state.geometry,
         "problem: interfaces": ", ".join(map(repr, state.interfaces)),
-        "components of the state": sizes,
     }
+    found |= {f"components of {name}": f.function_space.dofmap.bs for name, f in fields.items()}
     for k, material in enumerate(materials):
         for name, value in named_parameters(material).items():
             subject = f"material {k}, {type(material).__name__}: {name}"

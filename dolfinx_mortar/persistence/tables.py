@@ -233,14 +233,15 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
     total = comm.allreduce(len(own), op=MPI.SUM)
     if total != there:
         return f"there are {total}, in the checkpoint {there}"
-    # numbers are equal, so a duplicate implies a missing place: name the cause first
-    for wrong, text in ((hits > 1, "there more than once"), (hits == 0, "not in the checkpoint")):
-        some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
-        count = sum(n for n, _ in some)
-        if count:
-            x = next(x[0] for n, x in some if n)
-            where = ", ".join(f"{v:.6g}" for v in x)
-            return f"{count} of {total} are {text}, such as that at ({where})"
+    wrong = hits != 1
+    some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
+    if count := sum(n for n, _ in some):
+        x = next(x[0] for n, x in some if n)
+        where = ", ".join(f"{v:.6g}" for v in x)
+        return (
+            f"{count} of {total} are in the checkpoint not at all, or more than once, "
+            f"such as that at ({where})"
+        )
     return ""
 
 

@@ -47,7 +47,11 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
     """Move the deformation of a side by which the overlap halves; collective."""
     if problem.solid.strain == "small" or problem.geometry == "reference":
         return
-    closed, began = problem.committed.active & ~_stuck(problem), with_values(problem.V, before)
+    closed, sliding = problem.committed.active.copy(), problem.committed.sliding
+    for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
+        if interface.law is not None and sliding is not None:
+            closed[sides.nodes] &= sliding[sides.nodes].any(axis=1)
+    began = with_values(problem.V, before)
     given = problem.bodies, carried.reshape(problem.X.shape), began
     slides = find_slides(problem.system, closed, *given)
     if not slides:
@@ -93,15 +97,6 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
     for tool, end in zip(driven, np.cumsum(counts), strict=True):
         tool.move(travel[end - len(tool.names) : end])
     return travel
-
-
-def _stuck(problem: ContactProblem) -> Bools:
-    stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
-    if sliding is not None:
-        for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
-            if interface.law is not None:
-                stuck[sides.nodes] = ~sliding[sides.nodes].any(axis=1)
-    return stuck
 
 
 def _overlap(problem: ContactProblem) -> float:

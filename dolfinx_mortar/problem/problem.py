@@ -19,7 +19,6 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import (
     any_rank,
     from_callbacks,
@@ -27,7 +26,7 @@ from dolfinx_mortar.algebra.parallel import (
     raise_together,
     raised_together,
 )
-from dolfinx_mortar.arrays import ROUND_OFF, TINY, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
@@ -171,10 +170,6 @@ class ContactProblem:
         v.array[:] = 0.0 if values is None else values.ravel()
         return v
 
-    def check_owned(self) -> None:
-        """Raise a ValueError if a later problem uses an interface."""
-        check_owned(self.interfaces, self.supports)
-
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
@@ -185,7 +180,7 @@ class ContactProblem:
             ValueError: for NaN, infinity or contradictions in the data; negative friction limits,
                 points that leave an axis, invalid jumps, interfaces of another problem.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         data = self._read(level)
         before = self.owned_u.copy()
         self.owned_u[:] += self._carried(data.asked, before)
@@ -226,7 +221,6 @@ class ContactProblem:
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
             ("u", self.u.x.array, "start from a finite displacement"),
-            ("the mesh's coordinates", self.V.mesh.geometry.x, "check the mesh"),
         ):
             bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
             if bad:
@@ -281,7 +275,7 @@ class ContactProblem:
             ValueError: if a body can move freely, two surfaces can never meet, or a later problem
                 uses an interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         self._check_mesh()
         asked = self.supports.increment(self.supports.values(), self.u.x.array)
         increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
@@ -298,7 +292,7 @@ class ContactProblem:
         check_axis(self.solid, self.supports, self.system.sides)
 
     def _audit(self, increment: float) -> Audit:
-        springs = self._resistance_of_potential()
+        springs = self.terms.resistance()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
 
@@ -316,18 +310,8 @@ class ContactProblem:
 
     def held_by_contact(self) -> list[str]:
         """Names of the bodies that only contact restrains at present; collective."""
-        springs = self._resistance_of_potential()
+        springs = self.terms.resistance()
         return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
-
-    def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return v -> forces of the terms under v, over the largest entry of each row of K."""
-        if not self.terms.stiff:
-            return lambda v: np.zeros(0)
-        self.terms.check_energies()
-        springs = self.terms.stiffness()
-        least = max(ROUND_OFF * springs.norm(PETSc.NormType.INFINITY), TINY)
-        scale = np.maximum(abs(owned_rows(springs)).max(axis=1).toarray().ravel(), least)
-        return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self) -> None:
         """Pair the surfaces at X + u (X if frozen), and compute D, M, N and T; collective."""
@@ -356,7 +340,7 @@ class ContactProblem:
         An error, or Ctrl-C, restores the last commit. A ValueError if a later problem uses an
         interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         outcome = self.ended_here()
         before = outcome.before if outcome and outcome.before else Before(self.state, None)
         with self.timings("commit"), self.undone(before):
@@ -449,7 +433,7 @@ class ContactProblem:
         friction also "traction" and "slip" (see `Contact`). A ValueError if a later problem
         uses an interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         fields = {"displacement": self.u} | self.solid.output_fields()
         names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
         names += ["traction", "slip"] if self.system.has_friction else []

@@ -10,7 +10,6 @@ which counts as work of loads.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -60,8 +59,8 @@ class EnergyLedger:
             kinetic = inertia.kinetic_energy()
             total = kinetic + (stored or 0.0)
             impulses: list[list[float] | None] = [None] * len(problem.interfaces)
-            none = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            last = Ledger(total, kinetic, stored or 0.0, *none, total, impulses=impulses)
+            energies = {"kinetic": kinetic, "stored": stored or 0.0, "largest": total}
+            last = Ledger(total, **energies, impulses=impulses)
         named = problem.terms.named
         self._damped = [(name, term) for name, term in named if isinstance(term, Damping)]
         self._still = [one for one in named if not isinstance(one[1], Inertia | Damping)]
@@ -203,7 +202,7 @@ class EnergyLedger:
         stored = self._potential = self.problem.solid.potential() or 0.0
         return stored, potential - stored, heat
 
-    @cached_property
+    @property
     def _driven(self) -> Bools:
         """Nodes (owned nodes, 1) on sides with tools driven by loads."""
         on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
@@ -220,16 +219,14 @@ class EnergyLedger:
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
         """Motion (owned nodes, d) of touching tools at the nodes."""
-        X = self.inertia.mass.X
-        way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
-        links = self.problem.system.unilateral
-        for kept in (True, False):
-            for link in links:
-                some = link.coupling.kept[:, 0] | (not kept)
-                nodes = link.nodes[some & free[link.nodes]]
-                free[nodes] = False
-                x = X[nodes]
-                if (tool := link.interface.tool) is not None:
+        X, way = self.inertia.mass.X, np.zeros_like(before)
+        # a later one overrules: of kept nodes, then of those before in the list
+        for kept in (False, True):
+            for link in reversed(self.problem.system.unilateral):
+                nodes = link.nodes[link.coupling.kept[:, 0] | (not kept)]
+                x, tool = X[nodes], link.interface.tool
+                way[nodes] = 0.0
+                if tool is not None:
                     way[nodes] = tool.way(x + before[nodes], x + after[nodes])
         return way
 

@@ -202,7 +202,12 @@ def time_steps(
     given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
     way = read_way(problem, *given)
     check_same_on_all_ranks(problem.comm, scheme=scheme, spectral_radius=spectral_radius)
-    done = count_done(problem, way.levels) if start is None else 0
+    history, done = problem.history, 0
+    walked = [step.time for step in history[len(history) - problem.committed.walked :]]
+    if start is None and len(walked) <= len(way.levels):  # the last run may go on
+        size = max(map(abs, walked), default=0.0)
+        pairs = zip(way.levels, walked, strict=False)
+        done = len(walked) * all(abs(a - b) <= SAME * size for a, b in pairs)
     check_increasing(way.begin, way.levels[done:])
     found, radius = choose_scheme(scheme, spectral_radius)
     inertia = find_inertia(problem)
@@ -248,15 +253,6 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
         "it has been set to 0 there, since it would change its sign in every step: give a velocity "
         "that vanishes where bcs hold, or move the support"
     ]
-
-
-def count_done(problem: ContactProblem, levels: list[float]) -> int:
-    """Number of times of the last walk, if they are the first `levels`, else 0."""
-    committed = problem.committed
-    walked = [step.time for step in committed.last_walk]
-    size = max(map(abs, walked), default=0.0)
-    same = all(abs(a - b) <= SAME * size for a, b in zip(levels, walked, strict=False))
-    return len(walked) if same and len(walked) <= len(levels) else 0
 
 
 def check_increasing(begin: float, levels: list[float]) -> None:

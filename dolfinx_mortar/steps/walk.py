@@ -233,7 +233,10 @@ def walk(solves: Solves, way: Way, *, done: int = 0) -> Iterator[LoadStep]:
     committed.walk = Walk(begin, [one.rows for one in loading.ramps], settings)
     written = Checkpoint(problem, file, committed.walk)
     done = committed.walked  # of the checkpoint, if any
-    idle = _idle(problem, loading)
+    used = find_constants(problem.inputs)
+    idle = [] if loading.on_time else notes_on_unread(loading.ramps, used)
+    for note in idle if problem.comm.rank == 0 else ():
+        log.warning("%s", note)
     quiet = way.progress is None and len(levels) == 1
     tell = lines(problem.comm, False if quiet else way.progress)
     for number, time in enumerate(levels[done:], start=done + 1):
@@ -244,16 +247,6 @@ def walk(solves: Solves, way: Way, *, done: int = 0) -> Iterator[LoadStep]:
         written.check_alone()
         if number % way.every == 0 or number == len(levels):
             written.write()
-
-
-def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
-    if loading.on_time is not None:
-        return []
-    notes = notes_on_unread(loading.ramps, find_constants(problem.inputs))
-    if problem.comm.rank == 0:
-        for note in notes:
-            log.warning("%s", note)
-    return notes
 
 
 def _continue(
