@@ -3,8 +3,6 @@
 
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
@@ -38,15 +36,6 @@ def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
     geometry: Any = domain.geometry
     lists = getattr(geometry, "dofmaps", None)
     return np.asarray(lists[0] if isinstance(lists, list | tuple) else geometry.dofmap)
-
-
-def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
-    """Cells of this rank as a mesh with scaled coordinates."""
-    cpp, old = domain._cpp_object, domain.geometry
-    map_of_cells = getattr(old.cmap, "_cpp_object", old.cmap)
-    given = old.index_map(), cell_nodes(domain), map_of_cells, scale * old.x[:, : old.dim]
-    geometry = type(cpp.geometry)(*given, old.input_global_indices)
-    return mesh.Mesh(type(cpp)(MPI.COMM_SELF, cpp.topology, geometry), None)
 
 
 def mesh_from_gmsh(

@@ -132,14 +132,14 @@ class Ledger:
     initial: float  # kinetic and stored energy at the start
     kinetic: float
     stored: float  # in the bodies; see `EnergyLedger`
-    dissipated: float  # by plastic flow
-    friction: float
-    damping: float  # dissipated by Rayleigh's damping
-    loads: float  # work of loads, other terms, temperature and parameters
-    supports: float  # work of supports, rigid sides and tools
-    contact: float  # work beyond friction, before the energy was restored
-    defect: float  # left minus right side, over the largest energy
-    largest: float  # largest of these energies and works
+    dissipated: float = 0.0  # by plastic flow
+    friction: float = 0.0
+    damping: float = 0.0  # dissipated by Rayleigh's damping
+    loads: float = 0.0  # work of loads, other terms, temperature and parameters
+    supports: float = 0.0  # work of supports, rigid sides and tools
+    contact: float = 0.0  # work beyond friction, before the energy was restored
+    defect: float = 0.0  # left minus right side, over the largest energy
+    largest: float = 0.0  # largest of these energies and works
     owed: float = 0.0  # work given by contact, not yet restored
     # (d,) on the slave side of each contact of problem.interfaces since the start, by the
     # trapezoidal rule, with those that restored the energy; else None

@@ -90,11 +90,6 @@ class Committed:
     supports: SupportForces | None = None  # of the last step that has converged
     gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
 
-    @property
-    def last_walk(self) -> list[LoadStep]:
-        """The steps of the last call."""
-        return self.history[len(self.history) - self.walked :]
-
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
         """Commit the displacement (n,), with the outcome of the step."""
         self.begun, self.displacement, self.gained = True, u.copy(), None
@@ -128,11 +123,8 @@ class ProblemState:
     @property
     def states_of_terms(self) -> dict[str, fem.Function]:
         """States of the terms by column of a checkpoint; collective."""
-        return {
-            f"term {k} {name}": f
-            for k, state in enumerate(self.ask_terms("state"))
-            for name, f in state.items()
-        }
+        pairs = zip(self.terms, self.ask_terms("state"), strict=True)
+        return {f"{of}: {name}": f for (of, _), state in pairs for name, f in state.items()}
 
     def ask_terms(self, name: str) -> list[dict[str, Any]]:
         """Mapping of each term by a method; collective."""

@@ -19,6 +19,7 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, is_integer
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
@@ -75,7 +76,7 @@ def reaction(
             problem uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
-    problem.check_owned()
+    check_owned(problem.interfaces, problem.supports)
     point = _check_point(problem, about)
     mask = _find(problem, support, facet_tags)
     if problem.committed.supports is None:

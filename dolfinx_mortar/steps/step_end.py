@@ -47,7 +47,7 @@ def finish(
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired_at
     normal, tangential = -contact_forces(problem, contacts)
-    ended = problem.ends_of_interfaces()
+    ended = [interface.state(True) for interface in problem.interfaces]
     closed = contacts.active, contacts.sliding
     outcome = StepOutcome(at, *closed, paired, slips, normal, tangential, ended)
     problem.outcome, problem.committed.supports = outcome, supports

@@ -92,22 +92,7 @@ class Pressure(WeakForm):
             self._energy = fem.form(self._volume)
             self._asymmetric = None
 
-    def add_forces(self, F: PETSc.Vec) -> None:
-        """Add the forces at the present thickness; collective."""
-        self._follow()
-        super().add_forces(F)
-
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add the tangent at the present thickness; collective."""
-        self._follow()
-        super().add_tangent(K)
-
-    def skew(self) -> PETSc.Mat | None:
-        """Antisymmetric part at the present thickness, None if closed; collective."""
-        self._follow()
-        return super().skew()
-
-    def _follow(self) -> None:
+    def _update(self) -> None:
         if self._thickness is not None:
             self._thickness.follow()
 
