@@ -366,16 +366,13 @@ def with_scalar_velocity(bar):
 
 NEO_HOOKE = dm.NeoHooke(1.0, 0.3)
 REFUSED = [
-    *((inertia(density=d), ("density", "Inertia")) for d in (None, 0.0, "steel")),
+    *((inertia(density=d), ("density", "Inertia")) for d in (0.0, "steel")),
     (of_blocks({LOWER: 1.0}, False), ("density is a dictionary", "give an entry, and cell_tags")),
     (of_blocks({LOWER: 1.0}), ("density has no entry for", f"tags {UPPER}")),
     (of_blocks({LOWER: 1.0, UPPER: 1.0, 7: 1.0}), ("density", "7", "no cell")),
     (of_blocks({LOWER: 1.0, UPPER: -1.0}), ("density of 2", "-1")),
     (with_scalar_velocity, ("velocity", "solid.V")),
-    *(
-        (inertia(velocity=v), ("velocity", "2 finite numbers"))
-        for v in (1.0, (0.0, np.inf), "down")
-    ),
+    *((inertia(velocity=v), ("velocity", "2 finite numbers")) for v in ((0.0, np.inf), "down")),
     (
         inertia(velocity={1: (0.0, 0.0)}),
         ("velocity is a dictionary", "give an entry, and cell_tags"),
@@ -386,9 +383,7 @@ REFUSED = [
     ),
     (lambda bar: dm.newton(bar.problem()), ("Inertia", "time_steps", "level=")),
     (lambda bar: next(dm.load_steps(bar.problem(), [0.1])), ("Inertia", "dm.time_steps")),
-    (lambda bar: dm.newton(bar.problem(), level=1e-300), ("Inertia", "1e-300")),
     (first([0.0, 0.1]), ("times", "increase")),
-    (first([0.2, 0.1]), ("times", "0.1 after 0.2")),
     (first([1e-300]), ("times", "too short a step")),
     (first([1e300]), ("times", "1e+300 after 0", "infinite")),
     (first(scheme="newmark"), ("scheme", "energy-conserving", "generalised-alpha")),

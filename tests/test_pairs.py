@@ -237,7 +237,7 @@ def test_near_is_a_facet_unless_it_is_said(unit):
 @pytest.mark.mpi
 def test_overlaps_are_pairs():
     for depth, found in ((0.3, True), (0.49, True), (0.6, False)):
-        boxes = [(0, 2, -1, 0, 4, 4), (0.5, 1.5, -depth, 1 - depth, 3, 4)]
+        boxes = [(0, 2, -3, 0, 4, 12), (0.5, 1.5, -depth, 1 - depth, 3, 4)]
         if found:
             pairs, *_ = create(boxes, show=False)
             assert np.isclose(pairs.found[0].distance, -depth, atol=1e-12)
