@@ -128,7 +128,7 @@ class Saved:
         with raised_together(state.comm):
             for interface, found in zip(state.interfaces, about["found"], strict=True):
                 interface.restore({name: np.array(v, float) for name, v in found.items()})
-        for name, f in {"displacement": state.u, **state.states_of_terms}.items():
+        for name, f in {"displacement": state.solid.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
         for name, f in state.solid.points.lasting_fields().items():
             known = name if name in points else name.replace("shown/", "committed/")
@@ -183,7 +183,7 @@ def _places_of(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_nodes(state: ProblemState) -> dict[str, Floats]:
-    u, committed = _owned(state.u), state.committed
+    u, committed = _owned(state.solid.u), state.committed
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
     found["active"] = committed.active[:, None].astype(float)
     if state.system.has_friction and committed.sliding is not None:

@@ -116,11 +116,6 @@ class ProblemState:
     terms: Sequence[tuple[str, Term]]
 
     @property
-    def u(self) -> fem.Function:
-        """The displacement."""
-        return self.solid.u
-
-    @property
     def states_of_terms(self) -> dict[str, fem.Function]:
         """States of the terms by column of a checkpoint; collective."""
         pairs = zip(self.terms, self.ask_terms("state"), strict=True)
@@ -146,7 +141,7 @@ class Before:
     def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
         """Copy the state, and an outcome that has not been committed; collective."""
         self.state, self.outcome = state, outcome
-        functions = [state.u, *state.states_of_terms.values()]
+        functions = [state.solid.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
         self._points = state.solid.points.keep()
         self._results = [(i, i.keep(), i.state(False)) for i in state.interfaces]

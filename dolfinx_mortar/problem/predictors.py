@@ -119,8 +119,8 @@ def find_slides(
 ) -> list[list[Dent]]:
     """Sides of each sliding contact that may be dented; collective.
 
-    Closed contacts that slide by a facet or more, each side in one group;
-    first the group that moves less.
+    Closed contacts that slide by a facet or more, each side in one group; first the group that
+    moves less.
 
     Args:
         closed: (owned nodes,) closed without stick at the last commit.

@@ -67,7 +67,10 @@ class Pressure(WeakForm):
         given = {"facet_tags": facet_tags, "tag": tag, "p": p, "closed": closed}
         check_same_on_all_ranks(domain.comm, **given)
         facet_tags, number = _exterior(domain, facet_tags, tag)
-        p = _as_scalar(domain, p)
+        p = fem.Constant(domain, default_scalar_type(p)) if is_number(p) else p
+        scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
+        remedy = "give a number, or a scalar Constant or UFL without a test function"
+        p = check("Pressure: p", p, Rule(remedy, lambda p: p if scalar else None))
         if check("Pressure: closed", closed, FLAG) and solid.kinematics.plane_stress:
             raise ValueError(
                 "Pressure: closed is True, but in plane stress the edge of a plate changes its "
@@ -127,14 +130,6 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
             "where no pressure acts: tag exterior facets only"
         )
     return facet_tags, int(number)
-
-
-def _as_scalar(domain: Mesh, p: Any) -> Expr:
-    if is_number(p):
-        p = fem.Constant(domain, default_scalar_type(p))
-    scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
-    remedy = "give a number, or a scalar Constant or UFL without a test function"
-    return check("Pressure: p", p, Rule(remedy, lambda p: p if scalar else None))
 
 
 class _Thickness:
