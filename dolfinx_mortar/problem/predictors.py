@@ -172,19 +172,32 @@ def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
 def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
     """Return w(X - C) - w(X), (owned nodes, d), on the bodies of a group, else 0; collective.
 
-    Between nodes w is interpolated by radial functions, beyond the body extrapolated.
+    Between nodes w is interpolated by radial functions, beyond the body extrapolated; ranks send
+    the nodes that are near the points X - C of another rank.
     """
     V, n, d = u.function_space, len(bodies.label), u.function_space.dofmap.index_map_bs
-    own = V.tabulate_dof_coordinates()[:n, :d], u.x.array.reshape(-1, d)[:n]
-    moved = np.zeros((n, d))
+    comm, dim, moved = V.mesh.comm, V.mesh.topology.dim, np.zeros((n, d))
+    X, values = V.tabulate_dof_coordinates()[:n, :d], u.x.array.reshape(-1, d)[:n]
+    cells = np.arange(V.mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    (cell,) = maximum(comm, V.mesh.h(dim, cells).max(initial=0.0))
     for body in np.flatnonzero(bodies.groups == dent.group):
         on = bodies.label == body
-        x, w = (np.concatenate(V.mesh.comm.allgather(part[on])) for part in own)
-        fit = np.linalg.lstsq(np.column_stack([x, np.ones(len(x))]), w)[0]
+        x, w = X[on], values[on]
+        count, middle = comm.allreduce(len(x)), comm.allreduce(x.sum(axis=0))
+        G = np.column_stack([x - middle / count, np.ones(len(x))])
+        fit = np.linalg.lstsq(*(comm.allreduce(G.T @ v) for v in (G, w)))[0]
         A = fit[:d].T
         w = w - x @ A.T
-        if on.any():
-            near = scipy.interpolate.RBFInterpolator(x, w, neighbors=3**d, kernel="linear")
-            back = own[0][on] - np.linalg.solve(np.eye(d) + A, dent.way)
-            moved[on] = near(back) - (own[1] - own[0] @ A.T)[on]
+        way = np.linalg.solve(np.eye(d) + A, dent.way)
+        margin = np.linalg.norm(way) + 2.0 * cell
+        box = x.min(axis=0, initial=np.inf) - way, x.max(axis=0, initial=-np.inf) - way
+        near = [
+            ((x > low - margin) & (x < high + margin)).all(axis=1)
+            for low, high in comm.allgather(box)
+        ]
+        there = comm.alltoall([(x[to], w[to]) for to in near])
+        if len(x):
+            known = (np.concatenate(part) for part in zip(*there, strict=True))
+            at = scipy.interpolate.RBFInterpolator(*known, neighbors=3**d, kernel="linear")
+            moved[on] = at(x - way) - w
     return moved
