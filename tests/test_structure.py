@@ -48,7 +48,7 @@ BELOW = {
     "meshing": {"algebra"},
     "analytic": set(),
     "output": {"algebra", "materials"},
-    "plotting": {"algebra", "geometry", "mortar"},
+    "plotting": {"algebra", "geometry", "interfaces", "mortar"},
 }
 OPEN = {
     *("agreement", "arguments", "arrays", "compat", "disk", "kernels", "spaces"),

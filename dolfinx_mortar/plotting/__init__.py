@@ -28,6 +28,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import connect, facet_nodes
 from dolfinx_mortar.spaces import CELLS
 from dolfinx_mortar.tags import names_of, tags_of
@@ -158,7 +159,7 @@ def pressure(
     """
     if not hasattr(problem, "check_owned"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
-    problem.check_owned()
+    check_owned(problem.interfaces, problem.supports)
     check_same_on_all_ranks(problem.comm, interfaces=interfaces)
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     chosen = list(asked) if isinstance(asked, list | tuple) else [asked]
