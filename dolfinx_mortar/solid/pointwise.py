@@ -201,7 +201,8 @@ class PointwiseFields(PointValuesOfRegion):
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         rows, columns = np.array(self._entries).T
-        self._set(self._stress, answer.stress[:, rows, columns])
+        stress = answer.stress
+        self._set(self._stress, stress[:, rows, columns] if self._finite else stress)
         self._set(self._tangent, packed(answer.tangent, self._entries))
         parts = [(self._energy, answer.energy), (self.normal, answer.normal)]
         parts += [(f, answer.state[name]) for name, f in self._new.items()]
@@ -251,9 +252,8 @@ class LogarithmicFields(PointwiseFields):
         if self.normal is not None:
             self._law.find_normal(self._start, H)
         P, A, psi = self._law.response(self._start, H)
-        undefined = ~np.isfinite(P.sum(axis=1) + A.sum(axis=1))
-        if undefined.any():
-            F = H + np.eye(3)
+        if not np.isfinite(P.sum() + A.sum()):  # faster than a test of each
+            F, undefined = H + np.eye(3), ~np.isfinite(P.sum(axis=1) + A.sum(axis=1))
             self._judge(np.linalg.det(F) <= 0.0, F, INSIDE_OUT)
             self._judge(undefined, F, UNDEFINED)
         if self.normal is not None:
