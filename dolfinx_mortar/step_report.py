@@ -193,6 +193,13 @@ class StepReport:
         """Energy-norm increments, one per Newton iteration."""
         return [it.increment for it in self.iterations]
 
+    def note_friction(self, number: int, linearisation: str) -> None:
+        """Note the linearisation of friction, and from which iteration."""
+        if not self.friction:
+            self.friction = linearisation
+        elif not self.friction.endswith(linearisation):
+            self.friction += f", from iteration {number} on {linearisation}"
+
     def begin_anew(self) -> None:
         """Note a failed prediction, and clear the iterations."""
         self.notes.append(

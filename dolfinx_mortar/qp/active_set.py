@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import from_callbacks
-from dolfinx_mortar.arrays import EPS, Floats
+from dolfinx_mortar.arrays import EPS, LIMIT, Floats
 from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
     QPNotSolved,
@@ -34,8 +34,10 @@ from dolfinx_mortar.qp.held import (
     update,
 )
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
+from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 
+# Friction limits by the pressure of this solution, or of the previous one
+EXACT, GIVEN = "exact linearisation", "given limits"
 FEW = (
     "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
     "refine the mesh there, take smaller steps, or prescribe displacements instead of loads"
@@ -48,6 +50,7 @@ class _Found:
     q: Floats  # (m,)
     state: State
     updates: int
+    how: str  # linearisation of friction
     resistance: Floats | None  # (m, m) of q
 
 
@@ -97,6 +100,7 @@ def _solution(qp: BoundQP, found: _Found) -> QPSolution:
     return QPSolution(
         *(x, z, active, check(at, x, z), found.updates, 0, 0, "active-set"),
         sliding=directions,
+        linearisation="" if law is None else found.how,
         travel=None if qp.scalars is None else found.q,
         resistance=found.resistance,
     )
@@ -105,7 +109,7 @@ def _solution(qp: BoundQP, found: _Found) -> QPSolution:
 def _find(
     qp: BoundQP, linear: Solver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> _Found:
-    """Solve by states; QPNotSolved if updates do not end, NoResistance if a scalar is free."""
+    """Solve by states; QPNotSolved if no method converges, NoResistance if a scalar is free."""
     border = None if qp.scalars is None else Bordered(qp, linear)
     at: tuple[BoundQP, Solver] = qp, linear
     most = np.inf
@@ -117,12 +121,8 @@ def _find(
         x.array[: guess.local_size] = guess.array_r
     while True:
         problem = HeldProblem(*at, x, rtol, most)
-        outcome = _update(problem, state, TIGHT if problem.linear.exact else LOOSE)
-        if outcome.reason:
-            law = problem.qp.friction
-            kind = "" if law is None or not law.normal.size else " with friction"
-            raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}")
-        state, ended = outcome.state, (outcome.state, outcome.updates)
+        outcome, how = _solve_law(problem, state)
+        state, ended = outcome.state, (outcome.state, outcome.updates, how)
         if border is None:
             return _Found(x.array_r, np.zeros(0), *ended, None)
         values, q = border.at(x.array_r)
@@ -137,6 +137,41 @@ def _find(
             raise NoResistance(left)
         before = left.max()
         border.hold(None)
+
+
+def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
+    """Solve by consistent linearisation, else by given friction limits; else QPNotSolved."""
+    outcome = _update(problem, start, TIGHT if problem.linear.exact else LOOSE)
+    if not outcome.reason:
+        return outcome, EXACT
+    law, found, cause = problem.qp.friction, None, None
+    try:
+        found = None if law is None else _solve_given(problem, problem.best or start)
+    except LinearSolveFailed as error:
+        cause = error
+    if found is not None:
+        return found, GIVEN
+    kind = "" if law is None or not law.normal.size else " with friction"
+    raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}") from cause
+
+
+def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
+    """Iterate over the friction limits; None if they do not converge."""
+    qp, law = problem.qp, problem.qp.friction or no_friction()
+    problem.solve(state, TIGHT)
+    for _ in range(LIMIT):
+        pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
+        limits = law.limit(pressing[law.normal])
+        given = replace(law, coefficient=0.0 * limits, cohesion=limits)
+        at = problem.linear, problem.x, problem.rtol, problem.most
+        problem = HeldProblem(replace(qp, friction=given), *at)
+        found = _update(problem, state, TIGHT)
+        if found.reason:
+            return None
+        state = found.state
+        if check(qp, problem.x, problem.z).satisfied(problem.rtol):
+            return found
+    return None
 
 
 def _update(problem: HeldProblem, start: State, level: int) -> Outcome:

@@ -310,6 +310,7 @@ class QPSolution:
     backend: str
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
+    linearisation: str = ""  # of friction
     travel: Floats | None = None  # (m,) q of `moved`
     resistance: Floats | None = None  # (m, m) resistance of the forces to q
 

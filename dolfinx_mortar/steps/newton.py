@@ -269,7 +269,7 @@ class _Step:
         residual = measure(problem.u, balance, contacts, lin.diagonal, scales, norm, rtol)
         residual = driven_tools.miss(problem, balance, contacts, residual, rtol)
         self.report.quote(number, solved.note or found.rejected)
-        self.report.friction = "" if lin.qp.friction is None else "exact linearisation"
+        self.report.note_friction(number, solved.linearisation)
         self.report.iterations.append(
             Iteration(
                 number=number,
