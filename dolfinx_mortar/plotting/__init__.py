@@ -157,7 +157,7 @@ def pressure(
         ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
-    if not hasattr(problem, "check_owned"):
+    if not hasattr(problem, "supports"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
     check_owned(problem.interfaces, problem.supports)
     check_same_on_all_ranks(problem.comm, interfaces=interfaces)

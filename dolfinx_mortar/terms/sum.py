@@ -324,7 +324,7 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
             if isinstance(term, PointTerm):
                 term.act_on(u)
     names = "linear", "has_tangent"
-    kinds = [[{n: getattr(t, n) for n in names}, sorted(t.state)] for t in terms]
+    kinds = [{n: getattr(t, n) for n in names} | {"state": sorted(t.state)} for t in terms]
     check_same_on_all_ranks(comm, terms=kinds)
     return list(terms)
 
