@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, dual_basis, unit
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -81,21 +81,39 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def meet(P, x, xi):  # type: ignore[no-untyped-def]
-    """Where (q, 2) projected facets P (q, 2, 9) have points x (q, 2), or NaN, by Newton from xi."""
-    found = np.full(xi.shape, np.nan)
-    for q in range(len(xi)):
-        r, s = xi[q, 0], xi[q, 1]
-        for _ in range(LIMIT):
-            y0, a0, b0 = _component(P, q, FIRST, r, s)
-            y1, a1, b1 = _component(P, q, SECOND, r, s)
-            e0, e1, inverse = x[q, 0] - y0, x[q, 1] - y1, 1.0 / (a0 * b1 - a1 * b0)
-            dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
-            r, s = r + dr, s + ds
-            if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
-                found[q, 0], found[q, 1] = r, s
-                break
-    return found
+def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
+    """Where (r, s) a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
+    for _ in range(LIMIT):
+        y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
+        y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
+        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
+        dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
+        r, s = r + dr, s + ds
+        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+            return r, s
+    return np.nan, np.nan
+
+
+@numba.njit(**KERNEL)
+def _place(slave, master, axes, part, i, j, on_s, on_m, area):  # type: ignore[no-untyped-def]
+    """Project points on_s of slave facets i on master facets j; overwrite on_m, set area."""
+    P, n = np.empty((1, 2, 9)), np.empty(3)
+    for q in range(len(area)):
+        if q == 0 or part[q] != part[q - 1] or j[q] != j[q - 1]:
+            for a in range(2):
+                for k in range(9):
+                    P[0, a, k] = 0.0
+                    for c in range(3):
+                        P[0, a, k] += axes[part[q], a, c] * master[j[q], c, k]
+        r, s, u, v = on_s[q, 0], on_s[q, 1], 0.0, 0.0
+        for c in range(3):
+            x, _, _ = _component(slave, i[q], c, r, s)
+            _, a1, b1 = _component(slave, i[q], (c + 1) % 3, r, s)
+            _, a2, b2 = _component(slave, i[q], (c + 2) % 3, r, s)
+            n[c] = a1 * b2 - a2 * b1
+            u, v = u + axes[part[q], 0, c] * x, v + axes[part[q], 1, c] * x
+        area[q] = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        on_m[q, 0], on_m[q, 1] = meet(P, u, v, on_m[q, 0], on_m[q, 1])
 
 
 def on_facets(
@@ -119,11 +137,9 @@ def on_facets(
         _on_facet(f.element, part[:, k], xi)
         for k, (f, xi) in enumerate(((slave, xi_s), (master, xi_m)))
     )
-    N, dN, _ = slave.element.functions(on_s)
-    along, x = axes[part[:, 0], :2], slave.x[i]
-    area = np.linalg.norm(dual_basis(dN @ x)[1], axis=1)
-    target = (along @ (N[:, None] @ x).swapaxes(1, 2))[:, :, 0]
-    return on_s, meet(along @ coefficients(master)[j], target, on_m), weight * scale * area
+    area = np.empty(len(weight))
+    _place(coefficients(slave), coefficients(master), axes, part[:, 0], i, j, on_s, on_m, area)
+    return on_s, on_m, weight * scale * area
 
 
 VERTICES = 32

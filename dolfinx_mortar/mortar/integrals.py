@@ -84,7 +84,16 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
 
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
     """Sums (size, k) of weighted Phi (q, k) times values (q,) by places (q,)."""
-    return np.stack([np.bincount(where, one * values, size) for one in Phi.T], axis=1)
+    sums = np.zeros((size, Phi.shape[1]))
+    _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
+    return sums
+
+
+@numba.njit(**SUMS)
+def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
+    for i in range(len(Phi)):
+        for q in range(len(where)):
+            sums[where[q], i] += Phi[i, q] * values[q]
 
 
 class Integrated(Protocol):
@@ -116,14 +125,10 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
-    n, least = facet_normals(facets), np.full(len(facets.x), np.inf)
-    apart = points_of(master, segments.master, segments.xi_m)
-    apart -= points_of(facets, on, segments.xi_s)
-    gap = (apart * n[on]).sum(axis=1)
-    np.minimum.at(least, on, gap)
-    cosine = np.abs((n[on] * facet_normals(master)[segments.master]).sum(axis=1))
-    tangent = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / np.maximum(cosine, EPS)
-    sums = sums_of_values(np.stack([tangent, np.ones_like(w)], axis=1), w, on, len(least))
+    count, N = len(facets.x), (segments.N, master.element.shape_functions(segments.xi_m))
+    at = facets.x, master.x, facet_normals(facets), facet_normals(master), on, segments.master
+    gap, least, sums = np.empty(len(on)), np.full(count, np.inf), np.zeros((count, 2))
+    _measure(gap, least, sums, *N, *at, w)
     reach = _reaches(slave, least, sums, facet_sizes(facets.x))
     part = 1.0 - reach[on, 1] * (gap - reach[on, 0])
     if part.min(initial=1.0) > 1.0 - HALF_OF_DIGITS:
@@ -132,6 +137,26 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     # complete segments, with tiny weights at some points
     segments = replace(segments, weight=w * np.clip(part, EPS, 1.0), reach=reach)
     return some_points(segments, some[segments.pair])
+
+
+@numba.njit(cache=True)
+def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weight):  # type: ignore[no-untyped-def]
+    """Fill gaps (q,) along normals, least ones (m,), sums (m, 2) of w |tan a|, w."""
+    for q in range(len(slave)):
+        s, m = slave[q], master[q]
+        gap[q], cosine = 0.0, 0.0
+        for i in range(x_s.shape[2]):
+            apart = 0.0
+            for k in range(N_m.shape[1]):
+                apart += N_m[q, k] * x_m[m, k, i]
+            for k in range(N_s.shape[1]):
+                apart -= N_s[q, k] * x_s[s, k, i]
+            gap[q] += apart * n_s[s, i]
+            cosine += n_s[s, i] * n_m[m, i]
+        least[s] = min(least[s], gap[q])
+        sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
+        sums[s, 0] += weight[q] * sine / max(abs(cosine), EPS)
+        sums[s, 1] += weight[q]
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
