@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from numbers import Complex, Real
+from numbers import Real
 from typing import Any
 
 from mpi4py import MPI
@@ -69,35 +69,31 @@ def _difference(texts: Sequence[Mapping[str, str]]) -> str:
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
     """Names and texts of parts; on errors the type."""
     try:
-        return [(key, _text(leaf)) for key, leaf in _leaves(name, value)]
+        leaves = list(_leaves(name, value))
+        return [(key, leaf if isinstance(leaf, str) else _told(leaf)) for key, leaf in leaves]
     except Exception as error:  # errors may be local to this rank
         return [(name, f"{type(value).__name__} ({type(error).__name__})")]
 
 
-def _text(leaf: Any) -> str:
-    if isinstance(leaf, str):
-        return leaf
-    constant = not isinstance(leaf, type)
-    return f"Constant {_plain(np.asarray(leaf.value))}" if constant else leaf.__qualname__
+def _told(leaf: Any) -> str:
+    return leaf.__qualname__ if isinstance(leaf, type) else f"Constant {_plain(leaf.value)}"
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Names and texts of parts; a Constant, or the type of a user's object, instead of a text."""
     inside: Mapping[str, Any] = {}
-    if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
-        yield name, value
-        return
     text: Any = _plain(value)
-    if isinstance(value, fem.Function):
+    if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
+        text = value
+    elif isinstance(value, fem.Function):
         text = f"Function, {value.ufl_element()}"
     elif isinstance(value, Expr | ufl.Form):
         text = f"Form {value.signature()}" if isinstance(value, ufl.Form) else "Expression"
         inside = {f": Constant {k}": c for k, c in enumerate(extract_constants(value), start=1)}
     elif isinstance(value, fem.DirichletBC):
         space: Any = getattr(value.function_space, "_cpp_object", value.function_space)
-        constant = hasattr(value.g, "value")
-        of = f", component {space.component()}" if space.component() else ""
-        text = f"DirichletBC{of}, values of a {'Constant' if constant else 'Function'}"
-        inside = {": value": value.g} if constant else {}
+        text = f"DirichletBC, component {space.component()}, values of a {type(value.g).__name__}"
+        inside = {": value": value.g} if hasattr(value.g, "value") else {}
     elif isinstance(value, mesh.MeshTags):
         text, inside = f"MeshTags of dimension {value.dim}", {".names": names_of(value)}
     elif isinstance(value, Mapping):
@@ -129,18 +125,14 @@ def _plain(value: Any) -> str | None:
     >>> _plain([1, np.float64(-0.0)]), _plain(np.array([[2.0]])), _plain(("a", None, True))
     ('[1.0, 0.0]', '[[2.0]]', "['a', None, True]")
     """
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if value is None or isinstance(value, bool | str | bytes):
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if value is None or isinstance(value, bool | str | bytes | complex):
         return repr(value)
-    if isinstance(value, os.PathLike):
-        return repr(os.fspath(value))
     if isinstance(value, Real):
         return repr(float(value) + 0.0)
-    if isinstance(value, Complex):
-        return repr(complex(value))
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+    if isinstance(value, os.PathLike):
+        return repr(os.fspath(value))
     if not isinstance(value, list | tuple):
         return None
     texts = [_plain(entry) for entry in value]

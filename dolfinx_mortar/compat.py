@@ -3,14 +3,10 @@
 
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
-import ffcx.codegeneration.jit
-import ufl
-from dolfinx import default_scalar_type, fem, jit, mesh
+from dolfinx import fem, mesh
 
 
 def interpolation_points(V: fem.FunctionSpace) -> np.ndarray:
@@ -42,15 +38,6 @@ def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
     return np.asarray(lists[0] if isinstance(lists, list | tuple) else geometry.dofmap)
 
 
-def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
-    """Cells of this rank as a mesh with scaled coordinates."""
-    cpp, old = domain._cpp_object, domain.geometry
-    map_of_cells = getattr(old.cmap, "_cpp_object", old.cmap)
-    given = old.index_map(), cell_nodes(domain), map_of_cells, scale * old.x[:, : old.dim]
-    geometry = type(cpp.geometry)(*given, old.input_global_indices)
-    return mesh.Mesh(type(cpp)(MPI.COMM_SELF, cpp.topology, geometry), None)
-
-
 def mesh_from_gmsh(
     model: Any, comm: Any, dim: int
 ) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
@@ -72,34 +59,3 @@ def cell_kinds(domain: mesh.Mesh) -> list[str]:
     topology: Any = getattr(domain.topology, "_cpp_object", domain.topology)
     kinds = getattr(topology, "entity_types", None) or getattr(topology, "cell_types", None)
     return sorted(kind.name for kind in kinds[-1]) if kinds else [domain.topology.cell_name()]
-
-
-def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> list[fem.Form]:
-    """Compile forms over cells in one module, cached as a whole; collective."""
-    comm = forms[0].ufl_domain().ufl_cargo().comm
-    options = ffcx.get_options({"scalar_type": default_scalar_type})
-    compile_forms = jit.mpi_jit_decorator(ffcx.codegeneration.jit.compile_forms)
-    given = jit.get_options() | ({} if compiler is None else {"cffi_extra_compile_args": compiler})
-    kernels, module, code = compile_forms(comm, list(forms), options, **given)
-    pairs = zip(forms, kernels, strict=True)
-    return [_create_form(form, kernel, module, code) for form, kernel in pairs]
-
-
-def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.Form:
-    ((domain, data),) = form.subdomain_data().items()
-    functions, positions = form.coefficients(), kernel.original_coefficient_positions
-    address = int(module.ffi.cast("uintptr_t", module.ffi.addressof(kernel)))
-    spaces = [argument.ufl_function_space()._cpp_object for argument in form.arguments()]
-    rest: Any = (
-        [functions[positions[i]]._cpp_object for i in range(kernel.num_coefficients)],
-        [constant._cpp_object for constant in form.constants()],
-        {fem.IntegralType.cell: [(i, np.array(cells)) for i, cells in data["cell"][0] or []]},
-        [] if hasattr(mesh, "EntityMap") else {},
-        domain.ufl_cargo(),
-    )
-    create: Any = fem.form_cpp_class(default_scalar_type)
-    try:
-        made = create([address], spaces, *rest)
-    except TypeError:  # 0.9 takes one kernel, later versions a list
-        made = create(address, spaces, *rest)
-    return fem.Form(made, kernel, code, module)

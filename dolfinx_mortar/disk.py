@@ -76,16 +76,11 @@ def demand_space(file: Path, size: int) -> None:
 
 def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
     """Checked file name as a path, the same on all ranks; collective."""
-    known = isinstance(path, str | os.PathLike)
-    check_same_on_all_ranks(comm, **{name: os.fspath(path) if known else path})
-    if not known or not _can_be_name(os.fspath(path)):
-        raise ValueError(f"{name} is {path!r}: give the name of a file")
-    return Path(os.fsdecode(path))
-
-
-def _can_be_name(path: str | bytes) -> bool:
     try:
-        name = os.fsencode(path)
-    except UnicodeEncodeError:
-        return False
-    return bool(name) and b"\0" not in name
+        known = os.fsencode(path)
+    except (TypeError, UnicodeEncodeError):
+        known = b""
+    check_same_on_all_ranks(comm, **{name: os.fsdecode(known) or path})
+    if not known or b"\0" in known:
+        raise ValueError(f"{name} is {path!r}: give the name of a file")
+    return Path(os.fsdecode(known))

@@ -13,6 +13,7 @@ import scipy
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
+from ufl.domain import extract_unique_domain
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 HIGHEST = 2
@@ -99,20 +100,16 @@ def find_positions(
             f"nodes of V; give V the degree {degree}, or interpolate u into degree {degrees[0]}."
         )
 
-    def fits(W: dolfinx.fem.FunctionSpace) -> bool:
-        if W.dofmap.index_map_bs != d or W.element.basix_element.degree != degree:
-            return False
-        same = not same_nodes or np.array_equal(W.dofmap.list, V.dofmap.list)
-        return bool(V.mesh.comm.allreduce(same, op=MPI.LAND))
-
-    found = next(filter(fits, spaces), None)
-    if found is None:
-        found = dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))
-        if not fits(found):
-            raise ValueError(
-                "V numbers its nodes as no space of displacements does; make it by "
-                "dolfinx.fem.functionspace."
-            )
+    found = dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))
+    for W in spaces[:1] if same_nodes else spaces[::-1]:
+        if W.dofmap.index_map_bs == d and W.element.basix_element.degree == degree:
+            found = W
+    same = not same_nodes or np.array_equal(found.dofmap.list, V.dofmap.list)
+    if not V.mesh.comm.allreduce(same, op=MPI.LAND):
+        raise ValueError(
+            "V numbers its nodes as no space of displacements does; make it by "
+            "dolfinx.fem.functionspace."
+        )
     if u is None or found == u.function_space:
         return found, u
     moved = dolfinx.fem.Function(found)
@@ -214,12 +211,8 @@ def check_nodal(
 
 def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
     """Raise a ValueError for a value on another mesh."""
-    domain = None
-    if isinstance(value, dolfinx.fem.Function):
-        domain = value.function_space.mesh.ufl_domain()
-    elif isinstance(value, dolfinx.fem.Constant):
-        domain = value.ufl_domain()
-    if domain is not None and domain != V.mesh.ufl_domain():
+    known = isinstance(value, dolfinx.fem.Constant | dolfinx.fem.Function)
+    if known and extract_unique_domain(value) != V.mesh.ufl_domain():
         raise ValueError(
             f"{name} is a {type(value).__name__} on another mesh than solid.u: make it on "
             "solid.mesh"

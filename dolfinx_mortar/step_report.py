@@ -132,14 +132,14 @@ class Ledger:
     initial: float  # kinetic and stored energy at the start
     kinetic: float
     stored: float  # in the bodies; see `EnergyLedger`
-    dissipated: float  # by plastic flow
-    friction: float
-    damping: float  # dissipated by Rayleigh's damping
-    loads: float  # work of loads, other terms, temperature and parameters
-    supports: float  # work of supports, rigid sides and tools
-    contact: float  # work beyond friction, before the energy was restored
-    defect: float  # left minus right side, over the largest energy
-    largest: float  # largest of these energies and works
+    dissipated: float = 0.0  # by plastic flow
+    friction: float = 0.0
+    damping: float = 0.0  # dissipated by Rayleigh's damping
+    loads: float = 0.0  # work of loads, other terms, temperature and parameters
+    supports: float = 0.0  # work of supports, rigid sides and tools
+    contact: float = 0.0  # work beyond friction, before the energy was restored
+    defect: float = 0.0  # left minus right side, over the largest energy
+    largest: float = 0.0  # largest of these energies and works
     owed: float = 0.0  # work given by contact, not yet restored
     # (d,) on the slave side of each contact of problem.interfaces since the start, by the
     # trapezoidal rule, with those that restored the energy; else None
@@ -192,6 +192,13 @@ class StepReport:
     def residual_history(self) -> list[float]:
         """Energy-norm increments, one per Newton iteration."""
         return [it.increment for it in self.iterations]
+
+    def note_friction(self, number: int, linearisation: str) -> None:
+        """Note the linearisation of friction, and from which iteration."""
+        if not self.friction:
+            self.friction = linearisation
+        elif not self.friction.endswith(linearisation):
+            self.friction += f", from iteration {number} on {linearisation}"
 
     def begin_anew(self) -> None:
         """Note a failed prediction, and clear the iterations."""

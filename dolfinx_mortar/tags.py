@@ -43,7 +43,7 @@ class Tags(mesh.MeshTags):
             check_tag(f"names: {name!r}", tag)
         super().__init__(in_order(tags)._cpp_object)
         self.names: Mapping[str, int] = MappingProxyType(
-            {name: int(names[name]) for name in sorted(names, key=lambda name: int(names[name]))}
+            {name: int(tag) for name, tag in sorted(names.items(), key=lambda item: item[1])}
         )
 
     def tag(self, name: str | int) -> int:
@@ -52,15 +52,11 @@ class Tags(mesh.MeshTags):
         Raises:
             ValueError: for unknown names, and non-integers or more than 32 bits.
         """
-        tag = tag_of(self, name, "name")
-        check_tag("name", tag)
-        return int(tag)
+        return tag_of(self, name, "name")
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
         """Local cells or facets (n,) of a tag or name."""
-        tag = tag_of(self, value, "value")
-        check_tag("value", tag)
-        return np.asarray(super().find(int(tag)))
+        return np.asarray(super().find(tag_of(self, value, "value")))
 
 
 def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
@@ -127,11 +123,11 @@ def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
             raise ValueError(f"{measure} acts nowhere: {why}")
 
 
-def check_tag(name: str, tag: Any) -> None:
-    """Raise a ValueError for values that MeshTags cannot hold."""
+def check_tag(name: str, tag: Any) -> int:
+    """The tag, or a ValueError for values that MeshTags cannot hold."""
     limits = np.iinfo(np.int32)
     remedy = "give a tag, an integer of 32 bits, or its name"
-    check(name, tag, integer(limits.min, limits.max), remedy)
+    return check(name, tag, integer(limits.min, limits.max), remedy)
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:
@@ -146,10 +142,10 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
         )
 
 
-def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Tag of a name, or anything but strings unchanged; a ValueError, not collectively."""
+def tag_of(tags: Any, given: Any, argument: str) -> int:
+    """Tag of a name, or a tag unchanged; a ValueError, not collectively."""
     if not isinstance(given, str):
-        return given
+        return check_tag(argument, given)
     names = names_of(tags)
     if not names:
         raise ValueError(

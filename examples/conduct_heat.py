@@ -50,7 +50,9 @@ def excess(p):
     return H * p**0.95 * (end - WALL) - K * (heated.value - end) / L
 
 
-for _step in dm.load_steps(problem, [320, 350, 400], ramp={heated: [(0, 0), (1e3, 1e3)]}, heat=heat):
+for _step in dm.load_steps(
+    problem, [320, 350, 400], ramp={heated: [(0, 0), (1e3, 1e3)]}, heat=heat
+):
     p = -wall.force[0] / 10.0
     exact = scipy.optimize.brentq(excess, 1e-9, 1e3) if p > 0.0 else 0.0
     print(f"left end at {heated.value:.0f} K: {p:6.3f} MPa, exact {exact:6.3f} MPa")

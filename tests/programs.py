@@ -5,11 +5,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 from dolfinx_mortar.qp import BoundQP
-
-Floats = npt.NDArray[np.float64]
 
 # three unknowns: from six of the eight active sets the updates never end
 CYCLING = np.array([[9.0, -13, 7], [-13, 22, -7], [7, -7, 9]])

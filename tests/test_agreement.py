@@ -224,9 +224,9 @@ def test_a_jump_that_has_been_set_anew(case):
 def test_a_shape_that_is_another_on_one_rank(case):
     """What functions of a user are is told by their values at the side."""
     shape = dm.shapes.SignedDistance(lambda x: x[1] - 1.5 + 0.01 * HERE, (0.0, 2.0), length=1.0)
-    tool = case.problem([dm.Obstacle(case.facets, slave=TOP_OF_LOWER, shape=shape)])
+    tool = dm.Obstacle(case.facets, slave=TOP_OF_LOWER, shape=shape)
     if COMM.size > 1:
-        refused("interfaces[0].distances", lambda: dm.newton(tool))
+        refused("interfaces[0].distances", lambda: case.problem([tool]))
 
 
 def test_arguments_of_pictures_and_writers(case, folder):

@@ -50,8 +50,8 @@ def judge(problem, report, active, multipliers):
     _, balances = set_results(problem, balance, contacts)
     scales = Scales(problem.system.facet_length)
     residual = measure(problem.u, balance, contacts, lin.diagonal, scales, 1.0, 1e-6)
-    end = StepEnd(problem, report, balance, contacts, residual, lin.diagonal.array_r)
-    return create_certificate(end, balances)
+    found = balance, contacts, residual, lin.diagonal
+    return create_certificate(StepEnd(problem, report, *found), balances)
 
 
 @pytest.mark.mpi

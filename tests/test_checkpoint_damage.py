@@ -113,9 +113,10 @@ def test_a_place_that_is_met_twice(folder, share):
             mine = own if COMM.rank == COMM.size - 1 else own[:0]
         _, differ = read_tables(COMM, file, read_about(COMM, file), {"x": mine}, 1.0)
         if there is twice:
-            assert f"there more than once, such as that at ({x})" in differ["x"]
+            assert f"or more than once, such as that at ({x})" in differ["x"]
         elif share == "one rank" or COMM.size == 1:
-            assert differ["x"] == f"1 of 20 are not in the checkpoint, such as that at ({x})"
+            assert differ["x"].startswith("1 of 20 are in the checkpoint not at all, or ")
+            assert differ["x"].endswith(f"such as that at ({x})")
 
 
 SPACE_CASES = [(1, 1, 0, 1, 50_000), (30, 8, 13, 2, 10)]

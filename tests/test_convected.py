@@ -50,23 +50,22 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     assert count(steps) + 3 <= count(rigid)
 
 
-def ironed_by_tool(law, *, friction=0.0, way=0.6, turned=0.0, turning=0.0):
+def ironed_by_tool(law, *, friction=0.0, way=0.6, turned=0.0):
     """Drag a rigid cylinder over a turned block; return iterations and the force, turned back."""
     body = Box("quadrilateral", (24, 5), (0.0, -2.0), (6.0, 0.0))
     base, tool = fem.Function(body.V), body.tool(DISC, friction=friction)
     case = body.problem([tool], law, bcs=[body.hold(BASE, value=base)], strain="finite")
     start = tool.rigid.position.value.copy()
 
-    def turn(t):
-        return rotation((0, 0, 1), turned + turning * max(t - 3.0, 0.0))[:2, :2]
+    turn = rotation((0, 0, 1), turned)[:2, :2]
 
     def move(t):
         place = 2.0 + way * max(t - 3.0, 0.0), 1.0 - 0.1 * min(t, 3.0)
-        base.interpolate(lambda x: (turn(t) - np.eye(2)) @ x[:2])
-        tool.rigid.position.value[:] = start + turn(t) @ place - (2.0, 1.0)
+        base.interpolate(lambda x: (turn - np.eye(2)) @ x[:2])
+        tool.rigid.position.value[:] = start + turn @ place - (2.0, 1.0)
 
     steps = list(dm.load_steps(case, np.arange(1, 8), on_time=move, rtol=1e-8))
-    return sum(step.report.newton_iterations for step in steps[3:]), tool.force @ turn(7.0)
+    return sum(step.report.newton_iterations for step in steps[3:]), tool.force @ turn
 
 
 @pytest.mark.mpi
@@ -79,20 +78,19 @@ def test_turned_bodies_slide_like_others():
 
 
 @pytest.mark.parametrize(
-    ("law", "friction", "way", "turning"),
+    ("law", "friction", "way"),
     [
-        (dm.VonMises(E=1.0, nu=0.3, Y=0.02, a=0.1), 0.0, 0.6, 0.0),
-        (dm.NeoHooke(1.0, 0.3), 5.0, 0.3, 0.0),
-        (dm.NeoHooke(1.0, 0.3), 0.0, 0.2, 0.0),
-        (dm.NeoHooke(1.0, 0.3), 0.0, 0.6, 0.01),
+        (dm.VonMises(E=1.0, nu=0.3, Y=0.02, a=0.1), 0.0, 0.6),
+        (dm.NeoHooke(1.0, 0.3), 5.0, 0.3),
+        (dm.NeoHooke(1.0, 0.3), 0.0, 0.2),
     ],
-    ids=["internal variables", "sticks", "shorter than a facet", "turns"],
+    ids=["internal variables", "sticks", "shorter than a facet"],
 )
-def test_what_stays(law, friction, way, turning, monkeypatch):
+def test_what_stays(law, friction, way, monkeypatch):
     """Plastic strains, material that sticks; and Newton's method is left alone with short ways."""
 
     def fail(*_):
         raise AssertionError
 
     monkeypatch.setattr(predictors, "convected", fail)
-    ironed_by_tool(law, friction=friction, way=way, turning=turning)
+    ironed_by_tool(law, friction=friction, way=way)

@@ -6,7 +6,7 @@ import pytest
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, create_duals
-from dolfinx_mortar.mortar.integrals import covered_weights
+from dolfinx_mortar.mortar.integrals import sums_of_values
 from tests.cases.polylines import assemble
 from tests.test_segments import flat
 
@@ -41,7 +41,7 @@ def test_biorthogonal_where_little_is_covered(k, t, end):
     slave = np.zeros(len(weight), dtype=np.int32)
     Phi = create_duals(N, weight, slave, np.ones((1, k), dtype=bool)).Phi
     product = np.einsum("q,qi,qj->ij", weight, Phi, N)
-    D = covered_weights(N, weight, slave, 1)[0]
+    D = sums_of_values(N, weight, slave, 1)[0]
     error = np.abs(product - np.diag(D))
     largest = np.abs(Phi).max()
     assert error.max() < 1e-15 * largest * weight.sum()

@@ -139,7 +139,7 @@ def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
         for a, point, way in zip(at + 0.1, x, n, strict=True):
             tangents = np.linalg.svd(way[None])[2][1:]
             P = (tangents @ coefficients(facets)[0])[None]
-            yield parts_module.meet(P, (tangents @ point)[None], a[None])[0]
+            yield parts_module.meet(P, *(tangents @ point), *a)
 
     for bend in (1.0, 10.0):
         height = bend * (0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1])

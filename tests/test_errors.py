@@ -364,7 +364,7 @@ def test_complex_values(case):
 def test_two_values_of_one_node(case):
     """At once, and in the step in which they part; in the corners, which two sides share."""
     side = fem.Constant(case.mesh, default_scalar_type((0.0, -0.02)))
-    with rejected("bcs", " and -0.02 for V.sub(1) at (0, ", "one of them"):
+    with rejected("bcs", " -0.02 and ", " for V.sub(1) at (0, ", "one of them"):
         case.problem(bcs=[case.bc(BOTTOM), case.bc(TOP, case.top), case.bc(LEFT, side)])
     case.top.value[:] = side.value[:] = 0.0
     problem = case.problem(bcs=[case.bc(TOP, case.top), case.bc(LEFT, side)])
@@ -385,7 +385,7 @@ def test_two_values_on_two_ranks(case):
     zero, one = np.zeros(2), np.array([0.0, 1e-3])
     bcs = [fem.dirichletbc(zero, dofs[owned], case.V), fem.dirichletbc(one, dofs[~owned], case.V)]
     if COMM.allreduce(int((~owned).sum())):
-        with rejected("bcs", "0.001 and 0 for V.sub(1) at ("):
+        with rejected("bcs", "0 and 0.001 for V.sub(1) at ("):
             case.problem(bcs=[case.bc(BOTTOM), *bcs])
 
 

@@ -64,7 +64,7 @@ def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     problem = case.problem()
 
     with monkeypatch.context() as patch:
-        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self, *_: self.setup.dx.set(nonsense))
+        patch.setattr(dm.qp.LinearSolver, "_sweep", lambda self, dx, **_: dx.set(nonsense))
         patch.setattr(dm.qp.LinearSolver, "apply", lambda self, r, x: x.set(nonsense))
         with rejected("linear solver", error=dm.NewtonNotConverged):
             dm.newton(problem, qp=qp)

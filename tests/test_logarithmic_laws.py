@@ -3,7 +3,6 @@
 
 import dataclasses
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -71,7 +70,7 @@ def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
 
 def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3) -> Any:
     law, state, p = given(material, len(F), state, dimension)
-    return law.values(F, state, SimpleNamespace(**p))
+    return law.values(F, state, p)
 
 
 def start(material: Any, q: int, state: Any = None, dimension: int = 3) -> Any:

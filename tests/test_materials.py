@@ -49,7 +49,7 @@ def point(name, law=None):
 
 
 def set_parameters(p, *values):
-    p.solid.regions[0].parameters.function.x.array.reshape(-1, len(values))[:] = values
+    p.solid.regions[0].function.x.array.reshape(-1, len(values))[:] = values
 
 
 def rates(law):

@@ -230,10 +230,10 @@ def test_meshing_is_deterministic_and_silent(capfd):
 PLANE = [  # the first name is that of the error
     {"kind": "fine"},
     {"cell": "tetrahedron"},
-    *({"h": value} for value in (0.0, "0.1", (0.1, 0.2, 0.3))),
+    *({"h": value} for value in (0.0, (0.1, 0.2, 0.3))),
     {"h": 5.0, "kind": "graded"},
     {"radius": -8.0},
-    *({"block": value} for value in ((30.0, 0.0), (30.0, 30.0, 10.0))),
+    {"block": (30.0, 30.0, 10.0)},
     {"limit": 1.0},
     {"core": 0.0},
     {"gap": np.inf},

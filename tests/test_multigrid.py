@@ -68,8 +68,8 @@ def powerless(monkeypatch):
 def ramped(**options):
     """The ball in two levels: the problem, the contact, and the levels' arguments."""
     problem, contact = create_problem(depth=0.0, **options)
-    flat = problem.bcs[5].g.value
-    return problem, contact, {"on_time": lambda level: np.copyto(flat, -0.2 * level)}
+    flat = problem.bcs[1].g.value
+    return problem, contact, {"on_time": lambda level: np.copyto(flat[2:], -0.2 * level)}
 
 
 @pytest.mark.usefixtures("powerless")

@@ -9,7 +9,6 @@ import importlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import ClassVar
 
 from mpi4py import MPI
@@ -117,10 +116,10 @@ def observe_plane_stress():
     strain += np.swapaxes(strain, 1, 2)
     p = {name: np.full(q, getattr(law, name)) for name in ("E", "nu", "Y", "a")}
     kind, state = create_law("law", law, plane_stress=True), {"plastic_strain": 0.0 * strain}
-    found = values_at_points(kind, strain, state, SimpleNamespace(**p))
+    found = values_at_points(kind, strain, state, p)
     assert 10 < found.state["plastic_strain"].any(axis=(1, 2)).sum() < q - 10
     kind, state = create_law("law", Grown(), plane_stress=True), {"growth": strain}
-    free = values_at_points(kind, strain, state, SimpleNamespace())
+    free = values_at_points(kind, strain, state, {})
     assert 0.0 < np.abs(free.stress).max() < 1e-18
     parts = found.stress, found.state["plastic_strain"], found.tangent / 1000.0, free.stress
     return [value for part in parts for value in part.ravel()]

@@ -125,7 +125,7 @@ def test_linear_laws_are_condensed_in_the_compiled_code(rng):
 def test_the_whole_range_of_ratios(nu, size, rng):
     """No stress out of the plane, the residual being checked: flow and yield surface say so."""
     flat = point("mixed" if nu >= LEAST_RATIO else "auxetic", 2)
-    table = flat.solid.regions[0].parameters.function.x.array.reshape(-1, 5)
+    table = flat.solid.regions[0].function.x.array.reshape(-1, 5)
     values = table[0].copy()
     table[:] = [1000.0, nu, 1.0, 0.0, 50.0]
     try:

@@ -139,7 +139,7 @@ def test_two_blocks_on_one(case, kind):
         return [kind(tags, slave=s, master=m) for s, m in BESIDE[case]]
 
     problem, _ = press(mesh, tags, create)
-    assert not problem.system.notes  # nothing is lost
+    assert not problem.system.present.claims.notes  # nothing is lost
     for interface in problem.interfaces:
         assert np.isclose(abs(interface.force[1]), P, rtol=0.35)
     total = sum(abs(i.force[1]) for i in problem.interfaces)
@@ -186,7 +186,7 @@ def test_cycle(kind):
         return [kind(tags, slave=20, master=11), kind(tags, slave=12, master=21)]
 
     problem, _ = press(mesh, tags, create)
-    assert any("cycle" in note for note in problem.system.notes)
+    assert any("cycle" in note for note in problem.system.present.claims.notes)
 
 
 @pytest.mark.mpi

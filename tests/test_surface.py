@@ -109,8 +109,7 @@ def interior_tags(mesh):
 
 
 P1 = basix.ufl.element("Lagrange", "triangle", 1)
-ELEMENTS = [("Lagrange", 1), ("Lagrange", 3, (2,)), ("Lagrange", 1, (3,)), ("DG", 1, (2,))]
-ELEMENTS += [("N1curl", 1), basix.ufl.mixed_element([P1, P1])]
+ELEMENTS = [("Lagrange", 3, (2,)), ("DG", 1, (2,)), basix.ufl.mixed_element([P1, P1])]
 
 
 def test_bad_arguments_raise_on_all_ranks():
@@ -131,7 +130,7 @@ def test_bad_arguments_raise_on_all_ranks():
         ((space(curved), of_curved), 3, ["cells of the mesh are of degree 2"]),
         ((space(lost), of_lost), 3, ["not finite"]),
         *(((dolfinx.fem.functionspace(mesh, e), tags), 3, no_space) for e in ELEMENTS),
-        *(((V, tags), t, [f"slave is {t!r}: "]) for t in (2**31, -(2**40), True, 3.0, "3", None)),
+        *(((V, tags), t, [f"slave is {t!r}: "]) for t in (2**31, True, "3")),
     ):
         with rejected(*words):
             create_surface(*given, tag, "slave")

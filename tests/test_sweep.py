@@ -16,7 +16,6 @@ from tests.sweep.recheck import residuals
 from tests.sweep.run import LARGE, LIMIT_LOAD, TOLERANCE, Outcome, flows, is_large
 from tests.sweep.run import run as run_of_sweep
 
-FEW, CASES = 50, 200
 SLOW_SEEDS = {
     "hertz": (0, 1, 11, 12, 15, 28, 35, 39, 40, 58, 59, 63, 68, 70, 76),
     "sphere": (0, 5, 8, 10, 14, 15, 16, 17, 18, 23, 25, 27, 30, 35, 302),

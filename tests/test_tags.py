@@ -145,7 +145,7 @@ def test_materials_and_eigenstrains_by_name():
         ({"low": SOFT, "upp": HARD}, "materials: the key is 'upp': no such name; .*'up'"),
         ({"low": SOFT}, r"no entry for 12 cells of the tags 'up'"),
         ({"low": SOFT, "up": HARD, 77: HARD}, r"no cell has the tag 77; cell_tags has 'low' \("),
-        ({(1,): SOFT}, r"no cell has the tag \(1,\)"),
+        ({(1,): SOFT}, r"the key is \(1,\): give a tag"),
     ],
 )
 def test_wrong_names_of_bodies(laws, said):

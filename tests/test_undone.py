@@ -154,13 +154,13 @@ def in_commit(case, patch):
 
 def in_forces(case, patch):
     """Stop when the ledger asks for the loads at the end of the step."""
-    end = EnergyLedger._end
+    commit = EnergyLedger.commit
 
-    def fail(ledger):
+    def fail(ledger, *given):
         case.counter.fails = "add_forces"
-        return end(ledger)
+        return commit(ledger, *given)
 
-    patch.setattr(EnergyLedger, "_end", fail)
+    patch.setattr(EnergyLedger, "commit", fail)
 
 
 def in_forces_of_one_rank(case, patch):

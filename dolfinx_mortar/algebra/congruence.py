@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -15,16 +14,10 @@ import numpy as np
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Ints
 
-log = logging.getLogger(__name__)
-
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:
     """K in the format AIJ, copied if it has blocks; collective."""
-    if "baij" not in K.getType():
-        return K
-    if K.comm.rank == 0:
-        log.debug("a matrix of order %d is copied from blocks to AIJ", K.getSize()[0])
-    return K.convert("aij", out=PETSc.Mat())
+    return K.convert("aij", out=PETSc.Mat()) if "baij" in K.getType() else K
 
 
 class _Sum:

@@ -149,7 +149,7 @@ def create_audit(
             + "".join(f". {one}" for one in empty)
         )
     found = [_audit_sides(link, x) for link in links]
-    warnings = list(system.notes) + empty
+    warnings = list(system.present.claims.notes) + empty
     if by_contact:
         warnings.append(
             f"contact alone holds {'; '.join(by_contact)}: the loads must press the sides together"

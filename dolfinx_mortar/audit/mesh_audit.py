@@ -5,8 +5,6 @@ dolfinx orders nodes freely, so that only the signs of the Jacobian within a cel
 the sides of a facet on which two simplices lie.
 """
 
-from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 from mpi4py import MPI
@@ -25,14 +23,6 @@ SIMPLICES = ("triangle", "tetrahedron")
 CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 
 
-@dataclass(frozen=True)
-class _Cells:
-    mesh: Mesh
-    kind: str
-    nodes: Longs  # (k, n) global numbers
-    x: Floats  # (k, d, n) coordinates
-
-
 def check_mesh(mesh: Mesh) -> None:
     """Raise a ValueError on all ranks for invalid cells; collective.
 
@@ -47,24 +37,35 @@ def check_mesh(mesh: Mesh) -> None:
         raise ValueError(
             f"mesh: the geometry has degree {degree}; make the mesh with degree 1 or {HIGHEST}"
         )
-    cells = _own_cells(mesh, kind)
-    bad = ~np.isfinite(cells.x).all(axis=(0, 1))
-    _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
+    geometry, owned = mesh.geometry, mesh.topology.index_map(d).size_local
+    dofs = np.ascontiguousarray(compat.cell_nodes(mesh)[:owned].T)
+    x = np.moveaxis(np.asarray(geometry.x[dofs, :d], dtype=np.float64), 2, 1)  # (k, d, n)
+
+    def reject(bad: Any, what: str, remedy: str) -> None:
+        _reject(mesh.comm, x, bad, what, remedy)
+
+    reject(
+        ~np.isfinite(x).all(axis=(0, 1)),
+        "have coordinates that are NaN or infinite",
+        "check the mesh",
+    )
     # two points per edge of tensor cells, three for degree 2
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = map(np.asarray, basix.make_quadrature(basix.CellType[kind], exact))
+    most, least = x.max(axis=0), x.min(axis=0)
+    largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
     with np.errstate(under="ignore"):
-        noise, J = _round_off(cells.x), jacobians(cells.x, kind, points, degree)
-    collapsed = (np.abs(J) <= noise).all(axis=0)
-    _reject(cells, collapsed, "have collapsed, without volume", "remesh there")
+        noise, J = ROUND_OFF * largest * extent ** (d - 1), jacobians(x, kind, points, degree)
+    reject((np.abs(J) <= noise).all(axis=0), "have collapsed, without volume", "remesh there")
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
     remedy = f"check that no node was moved too far, and that {order}"
     mixed = (J > noise).any(axis=0) & (J < -noise).any(axis=0)
-    _reject(cells, mixed, "are inverted: the Jacobian changes sign inside", remedy)
+    reject(mixed, "are inverted: the Jacobian changes sign inside", remedy)
     if kind in SIMPLICES:
+        nodes = geometry.index_map().local_to_global(dofs[: d + 1].ravel().astype(np.int32))
+        beside = _beside_neighbour(mesh, nodes.reshape(d + 1, -1), x[: d + 1])
         what = "lie on the same side of a facet as a neighbour: one of the two is inverted or"
-        remedy = "check that no node was moved through a cell"
-        _reject(cells, _beside_neighbour(cells), f"{what} folded", remedy)
+        reject(beside, f"{what} folded", "check that no node was moved through a cell")
 
 
 def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
@@ -80,35 +81,16 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     return np.asarray(np.linalg.det(np.einsum("dqk,kin->qndi", slopes, x)))
 
 
-def _round_off(x: Floats) -> Floats:
-    """Error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1)."""
-    most, least = x.max(axis=0), x.min(axis=0)
-    largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
-    return np.asarray(ROUND_OFF * largest * extent ** (x.shape[1] - 1))
-
-
-def _own_cells(mesh: Mesh, kind: str) -> _Cells:
-    d, geometry = mesh.topology.dim, mesh.geometry
-    dofs = compat.cell_nodes(mesh)[: mesh.topology.index_map(d).size_local]
-    dofs = np.ascontiguousarray(dofs.T)
-    nodes = geometry.index_map().local_to_global(dofs.ravel().astype(np.int32))
-    x = np.stack([np.asarray(geometry.x[:, i], dtype=np.float64)[dofs] for i in range(d)], axis=1)
-    return _Cells(mesh, kind, np.asarray(nodes, dtype=np.int64).reshape(dofs.shape), x)
-
-
-def _beside_neighbour(cells: _Cells) -> Bools:
+def _beside_neighbour(mesh: Mesh, nodes: Longs, x: Floats) -> Bools:
     """Mask (n,) of simplices on the same side of a facet as their neighbour; collective."""
-    topology, d = cells.mesh.topology, cells.x.shape[1]
+    topology, d = mesh.topology, x.shape[1]
     topology.create_entities(d - 1)
     topology.create_connectivity(d, d - 1)
-    x, nodes = cells.x[: d + 1], cells.nodes[: d + 1]
-    # facet i lacks vertex i, which moves to the end
-    sides = np.tile(np.sign(np.linalg.det((x[1:] - x[0]).transpose(2, 0, 1))), (d + 1, 1))
-    for i, j in combinations(range(d + 1), 2):
-        ordered = np.where(nodes[i] < nodes[j], 1.0, -1.0)
-        sides *= ordered
-        sides[i] *= -ordered
-        sides[j] *= ordered
+    # facet i lacks vertex i; oriented as the cell with ascending nodes
+    order = np.argsort(nodes, axis=0)
+    ascending = np.take_along_axis(x, order[:, None], axis=0)
+    orientation = np.sign(np.linalg.det((ascending[1:] - ascending[0]).transpose(2, 0, 1)))
+    sides = orientation * (-1.0) ** np.argsort(order, axis=0)
     facets = topology.connectivity(d, d - 1).array[: sides.size].reshape(-1, d + 1).T
     total = la.vector(topology.index_map(d - 1))
     total.array[:] = np.bincount(facets.ravel(), sides.ravel(), minlength=len(total.array))
@@ -117,14 +99,14 @@ def _beside_neighbour(cells: _Cells) -> Bools:
     return np.asarray((np.abs(total.array) == 2.0)[facets].any(axis=0))
 
 
-def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
-    count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
+def _reject(comm: MPI.Comm, x: Floats, bad: Bools, what: str, remedy: str) -> None:
+    count, total = comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return
-    x = np.moveaxis(cells.x[:, :, bad], 2, 0)
-    finite = np.isfinite(x)
-    centres = np.where(finite, x, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
-    every = np.concatenate(cells.mesh.comm.allgather(centres))
+    some = np.moveaxis(x[:, :, bad], 2, 0)
+    finite = np.isfinite(some)
+    centres = np.where(finite, some, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
+    every = np.concatenate(comm.allgather(centres))
     first, *others = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
     more = " and elsewhere" if others else ""
     raise ValueError(f"mesh: {count} of {total} cells {what}, around {first}{more}; {remedy}")

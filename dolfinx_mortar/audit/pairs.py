@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.arguments import POSITIVE, check, check_optional, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Ints, Longs
 from dolfinx_mortar.audit.audit import COARSE
@@ -32,9 +32,10 @@ from dolfinx_mortar.mortar.facing_bodies import (
     find_facing,
 )
 from dolfinx_mortar.mortar.surface import find_boundary
+from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
-from dolfinx_mortar.tags import Tags, check_entities, names_of, tags_of
+from dolfinx_mortar.tags import Tags, names_of
 
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
@@ -133,11 +134,19 @@ def find_pairs(
     given = {"within": within, "surface": surface, "feature_angle": feature_angle}
     options = {"friction": friction, "tresca": tresca, "show": show}
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, **given, **options)
-    _check(mesh, cell_tags, within, surface)
+    _check(mesh, within, surface)
     check_angle(feature_angle)
     create_law(friction, tresca)
-    with raised_together(mesh.comm):
-        tag_of_cell = _tags_of_cells(mesh, cell_tags)
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
+    tag_of_cell = np.zeros(owned, dtype=np.int64)
+    if cell_tags is not None:
+        tag_of_cell = tags_of_cells(mesh, cell_tags)[:owned]
+        lost = int(mesh.comm.allreduce(int((tag_of_cell == UNTAGGED).sum()), op=MPI.SUM))
+        if lost:
+            raise ValueError(
+                f"cell_tags leave out {lost} cells: give each cell the tag of its body, or no "
+                "tags, so that bodies are the connected parts of the mesh"
+            )
     check_mesh(mesh)
     V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh), (mesh.geometry.dim,)))
     found = _find(V, tag_of_cell, cell_tags, within, feature_angle)
@@ -148,7 +157,7 @@ def find_pairs(
     return pairs
 
 
-def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
+def _check(mesh: Mesh, within: Any, surface: Any) -> None:
     kinds = compat.cell_kinds(mesh)
     if len(kinds) > 1:
         raise ValueError(
@@ -161,24 +170,6 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
     )
     check_optional("within", within, POSITIVE, remedy)
     check("surface", surface, SURFACES)
-    check_optional("cell_tags", cell_tags, tags_of(mesh, mesh.topology.dim))
-
-
-def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
-    owned = mesh.topology.index_map(mesh.topology.dim).size_local
-    tags = np.zeros(owned, dtype=np.int64)
-    if cell_tags is None:
-        return tags
-    check_entities("cell_tags", cell_tags)
-    known, own = np.zeros(owned, dtype=bool), cell_tags.indices < owned
-    known[cell_tags.indices[own]] = True
-    tags[cell_tags.indices[own]] = cell_tags.values[own]
-    if not known.all():
-        raise ValueError(
-            f"cell_tags leave out {owned - known.sum()} of {owned} cells: give each cell the tag "
-            "of its body, or no tags, so that bodies are the connected parts of the mesh"
-        )
-    return tags
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ slave facet. Facets of second order are clipped in four parts. Integrals of Phi_
 flat triangles and parallelograms, else of a degree by the change of Jacobian and slopes.
 """
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -15,21 +14,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, SAME, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import SAME, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import (
-    Points,
-    Sides,
-    Sums,
-    create_points,
-    sums,
-    turns,
-)
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
-    count,
     create_planes,
     height_at,
     inverse,
@@ -37,7 +27,6 @@ from dolfinx_mortar.geometry.plane import (
     pairs_of_parts,
     parts_of,
     project,
-    reference_parts,
     slopes,
 )
 from dolfinx_mortar.geometry.tolerances import KERNEL, ROUND_OFF
@@ -102,15 +91,6 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     return behind if i == a else not behind
 
 
-# Loops: each array assignment takes a second to compile.
-
-
-@numba.njit(**KERNEL)
-def _copy(P, n, Q):  # type: ignore[no-untyped-def]
-    for i in range(n):
-        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
-
-
 @numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
@@ -125,7 +105,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
-    _copy(given[i], given_sizes[i], pieces[0])
+    plane.copy(given[i], given_sizes[i], pieces[0])
     sizes[0], count = given_sizes[i], 1
     for j in range(n):
         if not _is_hidden(S, M, bilinear, i, j, given, given_sizes, common, spare):
@@ -144,7 +124,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
             if count + VERTICES > len(sizes):
                 pieces, sizes = _doubled(pieces), _doubled(sizes)
             size, sizes[k] = sizes[k], 0
-            _copy(pieces[k], size, common)
+            plane.copy(pieces[k], size, common)
             if size > 2:
                 count = plane.subtract(
                     common, size, M[j], M.shape[1], sign, pieces, sizes, count, spare
@@ -286,10 +266,11 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
 
 
 @numba.njit(**KERNEL)
-def _place(  # type: ignore[no-untyped-def]
+def place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
     weights, start
 ):  # fmt: skip
+    """Points of a rule (t,) on triangles: pair of parts, both coordinates and weight."""
     total = 0
     for t in range(len(which)):
         total += start[rule[t] + 1] - start[rule[t]]
@@ -321,284 +302,30 @@ def _inside(c, r, s):  # type: ignore[no-untyped-def]
     return x, c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
 
 
-def _areas(c: Floats) -> Floats:
+def areas(c: Floats) -> Floats:
+    """Areas (t,) of triangles (t, 3, 2)."""
     u, v = c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
-
-
-def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
-    """Degree for `moments`, for errors of derivatives below 1e-3 on warped facets."""
-    return max(2 + smooth, min(_least_degree(slave, master), 4))
-
-
-@numba.njit(**KERNEL)
-def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
-    """Distance, polygon r and its corner, of the line nearest to edge e."""
-    f = (e + 1) % 3
-    for v in range(len(P)):
-        o = (v + 1) % len(P)
-        dx, dy = P[o, 0] - P[v, 0], P[o, 1] - P[v, 1]
-        one = dx * (c[e, 1] - P[v, 1]) - dy * (c[e, 0] - P[v, 0])
-        two = dx * (c[f, 1] - P[v, 1]) - dy * (c[f, 0] - P[v, 0])
-        distance = max(abs(one), abs(two)) / np.sqrt(dx * dx + dy * dy)
-        if distance < best[0]:
-            best = distance, r, v
-    return best
-
-
-@numba.njit(**KERNEL)
-def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
-    found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
-    S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
-    for t in range(len(which)):
-        r, (s, m) = which[t], pairs[which[t]]
-        if t == 0 or which[t] != which[t - 1]:
-            project(x_s[s], centre[s], axes[s], S)
-            project(x_m[m], centre[s], axes[s], M)
-        for e in range(3):
-            line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
-            if line[2] < 0:
-                line = _nearest_line(corners[t], e, M, r, line)
-            if line[2] < 0 and hidden[s]:
-                while r > 0 and pairs[r - 1, 0] == s:
-                    r -= 1
-                while r < len(pairs) and pairs[r, 0] == s:
-                    project(x_m[pairs[r, 1]], centre[s], axes[s], N)
-                    line = _nearest_line(corners[t], e, N, r, line)
-                    r += 1
-                r = which[t]
-            if line[2] >= 0:
-                found[q, 0], found[q, 1], found[q, 2], found[q, 3] = t, e, line[1], line[2]
-                q += 1
-    return found[:q]
-
-
-def moments(
-    sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
-) -> None:
-    """Add the moments of slave facets and their masters, and derivatives by x and y.
-
-    `heights` of pairs (c,) are those of `create_points`.
-    """
-    x, _, y, _, place, deepest, factor, reach = sides
-    pairs = sides.pairs()
-    slave, master = types
-    over = _find_overlaps(Facets(slave, x), Facets(master, y[pairs[:, :1], place]), pairs, deepest)
-    given = _Given(over, place, factor, reach, heights, turns(slave, x), _frames(over))
-    degree = _degree_of_moments(slave, master, heights[0].size > 0)
-    points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
-    t, rule = (1.0 + points) / 2, triangle_rule(degree)
-    line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
-    inner = _create(given, over.which, over.corners, _areas(over.corners), rule)
-    _add_inner(over, inner, found)
-    edges = _find_edges(*over.sides, *over.planes[:2], over.which, over.corners, over.hidden)
-    ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
-    which, one = over.which[edges[:, 0]], np.ones(len(edges))
-    crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
-    ids = _nodes_of_lines(given, crossing.part, edges[:, 2], edges[:, 3:] + [0, 1])
-    lines = nodes[crossing.facet[:, None], ids]
-    _add_edges(over, crossing, lines, ends, t, ids, found)
-
-
-class _Given(NamedTuple):
-    over: "_Overlaps"
-    place: Longs  # see `Sides`
-    factor: Floats
-    reach: Floats
-    heights: Sequence[Floats]
-    tilts: tuple[Floats, Floats]  # of the slave facets
-    frames: tuple[Floats, Floats, Floats]  # see `_frames`
-
-
-class _OfPairs(NamedTuple):
-    """Points (s, q) of triangles, or of lines, of pairs."""
-
-    at: Points
-    xi: Floats  # (s, q, 2) on the slave's part
-    part: Longs  # (s,) of the slave
-    facet: Longs  # (s,)
-    pair: Ints  # (s,)
-    nodes: Longs  # (s, k + l) of both facets, slave's first
-    x: Floats  # (s, k + l, 3) relative to the centre of the part
-    frame: tuple[Floats, Floats, Floats]  # see `_frames`
-
-
-def _create(
-    given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
-) -> _OfPairs:
-    """Points of a rule on triangles (s, 3, 2); weight 0 off the master."""
-    over, tilts = given.over, given.tilts
-    slave, master, a = over.slave, over.master, count(over.slave.element)
-    first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
-    at = which, corners, size, first, False, *rule, np.array([0, q])
-    on, xi, xi_m, weight = _place(*over.sides, *over.planes, *at)
-    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, 2), xi
-    if slave.element.part or master.element.part:
-        on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
-        xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
-        weight *= slave.element.size / (a * slave.element.first.size)
-    lost = np.isnan(xi_m[:, 0])
-    xi_m[lost], weight[lost] = 0.0, 0.0
-    xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
-    facet, pair = part // a, over.of[which]
-    nodes = slave.x[facet], master.x[pair]
-    points = create_points(
-        slave.element.functions(xi_s),
-        master.element.functions(xi_m)[:2],
-        nodes,
-        weight.reshape(shape[:2]),
-        (given.factor[facet], given.reach[facet]),
-        (tilts[0][facet], tilts[1][facet]),
-        [v[pair] if len(v) else v for v in given.heights],
-    )
-    k = slave.x.shape[1]
-    own = np.broadcast_to(np.arange(k), (len(which), k))
-    which = np.concatenate([own, k + given.place[pair]], axis=1)
-    x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
-    u, n, turned = (v[part] for v in given.frames)
-    return _OfPairs(points, xi, part, facet, pair, which, x, (u, n, turned))
-
-
-def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
-    """Nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
-    over, sides = given.over, []
-    of_master = over.pairs[pair, 1]
-    for facets, of in ((over.slave, part), (over.master, of_master)):
-        nodes = np.array(facets.element.sub_facets)[of % count(facets.element)]
-        sides.append(np.take_along_axis(nodes, corners % nodes.shape[1], axis=1))
-    others = over.slave.x.shape[1] + np.take_along_axis(
-        given.place[over.of[pair]], sides[1], axis=1
-    )
-    return np.where(pair[:, None] < 0, sides[0], others)
-
-
-def _oblique(V: Floats, n: Floats) -> Floats:
-    """Vectors (s, q, 2, 3) dual to tangents V, normal to n."""
-    first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
-    size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
-    return np.stack([first, second], axis=2) / size
-
-
-def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
-    """Axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
-    axes = over.planes[1] * over.planes[2][:, None, None]
-    u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
-    _, g = turns(over.parts.element, over.parts.x)
-    along = u @ np.swapaxes(g, 1, 2) @ _scattered(over.slave.element, every)
-    return u, n, -along[..., None] * n[:, None, None]
-
-
-def _scattered(element: FacetElement, part: Longs) -> Floats:
-    nodes = np.array(element.sub_facets)[part % count(element)]
-    return np.eye(element.nodes)[nodes]
-
-
-def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
-    """Add the moments of triangles, and their derivatives at points fixed in the plane.
-
-    A motion dx of the part's nodes changes xi by -K dx; xi of the master by G times the relative
-    motion.
-    """
-    at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
-    (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
-    N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
-    V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
-    K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
-    slopes = slave.first.functions(slave.points[:1])[1] @ reference_parts(slave)  # (parts, 2, 2)
-    B = slopes[inner.part % count(slave), None].swapaxes(2, 3) @ K  # xi of the facet: -B dx
-    by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
-    by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
-    by_x[:, :, :2] = -B[..., None, :] * N
-    by_x[:, :, 2:4] = G[..., None, :] * at.N[:, :, None, :, None]
-    by_x[:, :, 2:4] -= (G @ np.swapaxes(at.T, 2, 3) @ B)[..., None, :] * N
-    by_y[:, :, 2:4] = -G[..., None, :] * at.f[:, :, None, k:-1, None]
-    by[:, :, 4] = at.by_nodes
-    by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
-    along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
-    by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
-    # a tilt acts like the opposite rotation of all nodes
-    back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
-    back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
-    z = 3 * inner.nodes.shape[1]
-    rates: Floats = by.reshape(s, 5 * q, z)
-    back, tilts = back.reshape(s, 2, z), tilts.reshape(s, 2, 3 * k)
-    rates[..., : 3 * k] += rates @ back.swapaxes(1, 2) @ tilts
-    rates = rates.reshape(s, q, 5, z)
-    values, changes = at.differentiate(rates[:, :, :2], rates[:, :, 2:4], rates[:, :, 4])
-    columns = _columns(inner, found)
-    none = np.zeros((s, 1), dtype=np.int64)
-    _scatter(found.values[:, None], inner.facet, none, columns, values[:, None])
-    _scatter(found.changes, inner.facet, inner.nodes, columns, changes)
-    found.add_heights(at, inner.pair)
-
-
-def _columns(inner: _OfPairs, found: Sums) -> Longs:
-    last = np.full((len(inner.pair), 1), found.values.shape[2] - 1)
-    return np.concatenate([inner.nodes, last], axis=1)
-
-
-def _add_edges(
-    over: "_Overlaps",
-    inner: _OfPairs,
-    lines: Floats,
-    ends: Floats,
-    t: Floats,
-    ids: Longs,
-    found: Sums,
-) -> None:
-    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise."""
-    at, (u, normal, tilts) = inner.at, inner.frame
-    (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
-    lines = lines - over.planes[0][inner.part][:, None]
-    first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
-    along, way = second - first, ends[:, 1] - ends[:, 0]
-    points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
-    share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
-    share = np.stack([1.0 - share, share], axis=2)
-    outwards = way[:, ::-1] * [1.0, -1.0] / radius[:, None]
-    by = np.empty((s, q, k + 2, 3))
-    by[:, :, k:] = share[..., None] * (outwards[:, None] @ u)[:, None]
-    height = share @ (lines @ normal[:, :, None])
-    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, 3 * k)).reshape(s, q, k, 3)
-    n, z = at.f.shape[2], 3 * (k + 2)
-    rows = (at.weight[..., None] * at.N)[..., None] * at.f[:, :, None]
-    changes = np.swapaxes(by.reshape(s, q, z), 1, 2) @ rows.reshape(s, q, k * n)
-    nodes = np.concatenate([inner.nodes[:, :k], ids], axis=1)
-    changes = changes.reshape(s, z, k, n)
-    _scatter(found.changes, inner.facet, nodes, _columns(inner, found), changes)
-
-
-@numba.njit(**KERNEL)
-def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def]
-    """Add values (s, r d, k, n) at nodes (s, r) and columns (s, n) to facets (s,)."""
-    d = values.shape[1] // nodes.shape[1]
-    for s in range(len(values)):
-        for z in range(values.shape[1]):
-            row = d * nodes[s, z // d] + z % d
-            for j in range(values.shape[2]):
-                for a in range(values.shape[3]):
-                    to[facets[s], row, j, columns[s, a]] += values[s, z, j, a]
 
 
 def place_points(
     slave: Facets, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """See `line.place_points`; folded facets cover nothing."""
-    least = _least_degree(slave.element, master.element)
-    over = _find_overlaps(slave, master, pairs, deepest)
+    least = least_degree(slave.element, master.element)
+    over = find_overlaps(slave, master, pairs, deepest)
     at, triangles = (*over.sides, *over.planes), (over.which, over.corners)
     rule = _choose_rules(*at[:-1], *triangles, least)
     whole = slave.element.part is None and master.element.part is None
-    sizes = _areas(over.corners)
-    pair, xi_s, xi_m, weight = _place(*at, *triangles, sizes, rule, whole, *_rules())
+    sizes = areas(over.corners)
+    pair, xi_s, xi_m, weight = place(*at, *triangles, sizes, rule, whole, *_rules())
     if whole:
         return pair, xi_s, xi_m, weight
     points = {"xi_s": xi_s, "xi_m": xi_m, "weight": weight}
     return over.of[pair], *on_facets(slave, master, at[5], over.pairs[pair], **points)
 
 
-class _Overlaps(NamedTuple):
+class Overlaps(NamedTuple):
     """Facets that overlap in the auxiliary planes of the slave's parts."""
 
     slave: Facets  # (ms,)
@@ -613,10 +340,12 @@ class _Overlaps(NamedTuple):
 
     @property
     def pairs(self) -> Ints:
+        """Pairs (p', 2) of parts."""
         return self.sides[3]
 
 
-def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
+def find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> Overlaps:
+    """Where facets of pairs (p, 2) overlap."""
     parts_s, parts_m = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
     planes = create_planes(parts_s.x)
@@ -624,13 +353,18 @@ def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) 
     limits = deepest[of] / planes[2][pairs[:, 0]]  # lengths in the planes are relative
     balls = bounding_balls(parts_m.x)
     found = _triangulate(*sides[:2], balls, *sides[2:], limits, *planes[:2])
-    return _Overlaps(slave, master, parts_s, sides, of, planes, *found)
+    return Overlaps(slave, master, parts_s, sides, of, planes, *found)
 
 
-def _least_degree(slave: FacetElement, master: FacetElement) -> int:
+def least_degree(slave: FacetElement, master: FacetElement) -> int:
     """Degree for products of two functions on affine facets.
 
     With twists phi relative errors are up to 1e-5 phi^4 in D_jj and 2e-3 phi^2 in M; forces are
     exact.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)
+
+
+def degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
+    """Degree for `moments`, for errors of derivatives below 1e-3 on warped facets."""
+    return max(2 + smooth, min(least_degree(slave, master), 4))

@@ -228,14 +228,9 @@ def _divided(v: Floats, square: Floats) -> Floats:
     return np.asarray(v / np.where(square.real > 0.0, square, np.inf)[..., None])
 
 
-def _unit(v: Floats) -> Floats:
-    """Unit vectors, zero for zero; also for complex numbers."""
-    return _divided(v, np.sqrt((v * v).sum(axis=-1)))
-
-
 def _frame(facets: Facets) -> Floats:
-    n, first = _unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
-    second = _unit(np.asarray(np.cross(n, first)))
+    n, first = unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
+    second = unit(np.asarray(np.cross(n, first)))
     return np.stack([np.cross(second, n), second], axis=2)
 
 

@@ -58,7 +58,9 @@ class FacetElement:
         >>> LINE3.shape_functions(np.array([[0.5]]))
         array([[-0.125,  0.375,  0.75 ]])
         """
-        return np.asarray((self.table @ powers(xi)).T)
+        a, b = self.degree + 1, self.degree * (xi.shape[1] - 1) + 1
+        table = self.table.reshape(-1, 3, 3)[:, :a, :b]
+        return np.asarray((table.reshape(-1, a * b) @ powers(xi, self.degree)).T)
 
     def functions(self, xi: Floats) -> tuple[Floats, Floats, Floats]:
         """Values N (.., k) at xi (.., d-1), dN (.., d-1, k) and ddN (.., d-1, d-1, k).
@@ -95,15 +97,16 @@ class FacetElement:
         return np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
 
 
-def powers(xi: Floats) -> Floats:
-    """Products xi^a eta^b (9, q) with a, b <= 2, at 3 a + b, for xi (q, d-1); eta = 0 in the plane.
+def powers(xi: Floats, degree: int | None = None) -> Floats:
+    """Products xi^a eta^b (n, q) for xi (q, d-1); without a degree a, b <= 2, eta = 0 in the plane.
 
-    >>> powers(np.array([[2.0, 3.0]])).T.tolist()
-    [[1.0, 3.0, 9.0, 2.0, 6.0, 18.0, 4.0, 12.0, 36.0]]
+    >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]]), 2).T.tolist()
+    ([[1.0, 3.0, 9.0, 2.0, 6.0, 18.0, 4.0, 12.0, 36.0]], [[1.0, 2.0, 4.0]])
     """
-    one = np.ones(len(xi))
-    r, s = (np.stack([one, v, v * v]) for v in (*xi.T, 0.0 * one)[:2])
-    return np.asarray(r[:, None] * s).reshape(9, -1)
+    one, n = np.ones(len(xi)), 3 if degree is None else degree + 1
+    r, s = ([one, v, v * v][:n] for v in (*xi.T, 0.0 * one)[:2])
+    s = s[:1] if degree is not None and xi.shape[1] == 1 else s
+    return np.stack([x * y for x in r for y in s])
 
 
 _SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]])

@@ -56,8 +56,9 @@ def facet_normals(facets: Facets) -> Floats:
 
 
 def unit(v: Floats) -> Floats:
-    """Vectors (.., d) of length one, zero for zero."""
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1), TINY)[..., None])
+    """Vectors (.., d) of length one, zero for zero; complex ones by the real formula."""
+    size = np.sqrt((v * v).sum(axis=-1))
+    return np.asarray(v / np.where(size.real > 0.0, size, np.inf)[..., None])
 
 
 def normals_at_nodes(facets: Facets) -> Floats:

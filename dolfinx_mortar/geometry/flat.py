@@ -85,16 +85,13 @@ def _halves(facets: Facets) -> list[Floats]:
 
 
 def bounds(x: Floats) -> tuple[Floats, Floats]:
-    """Smallest and largest coordinates (m, d) of few points (m, k, d), faster than NumPy.
+    """Smallest and largest coordinates (m, d) of points (m, k, d).
 
     Example:
         >>> [end.tolist() for end in bounds(np.array([[[0.0, 3.0], [1.0, 2.0]]]))]
         [[[0.0, 2.0]], [[1.0, 3.0]]]
     """
-    low = high = x[:, 0]
-    for k in range(1, x.shape[1]):
-        low, high = np.minimum(low, x[:, k]), np.maximum(high, x[:, k])
-    return low, high
+    return x.min(axis=1), x.max(axis=1)
 
 
 def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:

@@ -10,11 +10,16 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
+from dolfinx_mortar.geometry import area
+from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps, place
+from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
+from dolfinx_mortar.geometry.plane import count, on_facets, project, reference_parts
+from dolfinx_mortar.geometry.tolerances import KERNEL
 
 
 class Sides(NamedTuple):
@@ -195,3 +200,249 @@ def whole(
     by_f = np.zeros((*by_w.shape, f.shape[2]))
     by_f[..., -1] = -by_x.reshape(by_w.shape)
     return products(v, f, by_w[..., None] * v[:, :, None], by_f)
+
+
+@numba.njit(**KERNEL)
+def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
+    """Distance, polygon r and its corner, of the line nearest to edge e."""
+    f = (e + 1) % 3
+    for v in range(len(P)):
+        o = (v + 1) % len(P)
+        dx, dy = P[o, 0] - P[v, 0], P[o, 1] - P[v, 1]
+        one = dx * (c[e, 1] - P[v, 1]) - dy * (c[e, 0] - P[v, 0])
+        two = dx * (c[f, 1] - P[v, 1]) - dy * (c[f, 0] - P[v, 0])
+        distance = max(abs(one), abs(two)) / np.sqrt(dx * dx + dy * dy)
+        if distance < best[0]:
+            best = distance, r, v
+    return best
+
+
+@numba.njit(**KERNEL)
+def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
+    """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
+    found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
+    S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    for t in range(len(which)):
+        r, (s, m) = which[t], pairs[which[t]]
+        if t == 0 or which[t] != which[t - 1]:
+            project(x_s[s], centre[s], axes[s], S)
+            project(x_m[m], centre[s], axes[s], M)
+        for e in range(3):
+            line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
+            if line[2] < 0:
+                line = _nearest_line(corners[t], e, M, r, line)
+            if line[2] < 0 and hidden[s]:
+                while r > 0 and pairs[r - 1, 0] == s:
+                    r -= 1
+                while r < len(pairs) and pairs[r, 0] == s:
+                    project(x_m[pairs[r, 1]], centre[s], axes[s], N)
+                    line = _nearest_line(corners[t], e, N, r, line)
+                    r += 1
+                r = which[t]
+            if line[2] >= 0:
+                found[q, 0], found[q, 1], found[q, 2], found[q, 3] = t, e, line[1], line[2]
+                q += 1
+    return found[:q]
+
+
+def moments_in_space(
+    sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
+) -> None:
+    """Add the moments of slave facets and their masters, and derivatives by x and y.
+
+    `heights` of pairs (c,) are those of `create_points`.
+    """
+    x, y, pairs, (slave, master) = sides.x, sides.y, sides.pairs(), types
+    others = Facets(master, y[pairs[:, :1], sides.place])
+    over = find_overlaps(Facets(slave, x), others, pairs, sides.deepest)
+    given = _Given(over, sides, heights, turns(slave, x), _frames(over))
+    degree = area.degree_of_moments(slave, master, heights[0].size > 0)
+    points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
+    t, rule = (1.0 + points) / 2, triangle_rule(degree)
+    line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
+    inner = _create(given, over.which, over.corners, areas(over.corners), rule)
+    _add_inner(over, inner, found)
+    edges = _find_edges(*over.sides, *over.planes[:2], over.which, over.corners, over.hidden)
+    ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
+    which, one = over.which[edges[:, 0]], np.ones(len(edges))
+    crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
+    ids = _nodes_of_lines(given, crossing.part, edges[:, 2], edges[:, 3:] + [0, 1])
+    lines = nodes[crossing.facet[:, None], ids]
+    _add_edges(over, crossing, lines, ends, t, ids, found)
+
+
+class _Given(NamedTuple):
+    over: Overlaps
+    sides: Sides
+    heights: Sequence[Floats]
+    tilts: tuple[Floats, Floats]  # of the slave facets
+    frames: tuple[Floats, Floats, Floats]  # see `_frames`
+
+
+class _OfPairs(NamedTuple):
+    """Points (s, q) of triangles, or of lines, of pairs."""
+
+    at: Points
+    xi: Floats  # (s, q, 2) on the slave's part
+    part: Longs  # (s,) of the slave
+    facet: Longs  # (s,)
+    pair: Ints  # (s,)
+    nodes: Longs  # (s, k + l) of both facets, slave's first
+    x: Floats  # (s, k + l, 3) relative to the centre of the part
+    frame: tuple[Floats, Floats, Floats]  # see `_frames`
+
+    def columns(self, found: Sums) -> Longs:
+        """Columns (s, k + l + 1) of the points' functions and heights among the moments."""
+        last = np.full((len(self.pair), 1), found.values.shape[2] - 1)
+        return np.concatenate([self.nodes, last], axis=1)
+
+
+def _create(
+    given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
+) -> _OfPairs:
+    """Points of a rule on triangles (s, 3, 2); weight 0 off the master."""
+    over, tilts = given.over, given.tilts
+    slave, master, a = over.slave, over.master, count(over.slave.element)
+    first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
+    at = which, corners, size, first, False, *rule, np.array([0, q])
+    on, xi, xi_m, weight = place(*over.sides, *over.planes, *at)
+    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, 2), xi
+    if slave.element.part or master.element.part:
+        on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
+        xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
+        weight *= slave.element.size / (a * slave.element.first.size)
+    lost = np.isnan(xi_m[:, 0])
+    xi_m[lost], weight[lost] = 0.0, 0.0
+    xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
+    facet, pair = part // a, over.of[which]
+    nodes = slave.x[facet], master.x[pair]
+    points = create_points(
+        slave.element.functions(xi_s),
+        master.element.functions(xi_m)[:2],
+        nodes,
+        weight.reshape(shape[:2]),
+        (given.sides.factor[facet], given.sides.reach[facet]),
+        (tilts[0][facet], tilts[1][facet]),
+        [v[pair] if len(v) else v for v in given.heights],
+    )
+    k = slave.x.shape[1]
+    own = np.broadcast_to(np.arange(k), (len(which), k))
+    which = np.concatenate([own, k + given.sides.place[pair]], axis=1)
+    x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
+    u, n, turned = (v[part] for v in given.frames)
+    return _OfPairs(points, xi, part, facet, pair, which, x, (u, n, turned))
+
+
+def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
+    """Nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
+    over, sides = given.over, []
+    of_master = over.pairs[pair, 1]
+    for facets, of in ((over.slave, part), (over.master, of_master)):
+        nodes = np.array(facets.element.sub_facets)[of % count(facets.element)]
+        sides.append(np.take_along_axis(nodes, corners % nodes.shape[1], axis=1))
+    others = over.slave.x.shape[1] + np.take_along_axis(
+        given.sides.place[over.of[pair]], sides[1], axis=1
+    )
+    return np.where(pair[:, None] < 0, sides[0], others)
+
+
+def _oblique(V: Floats, n: Floats) -> Floats:
+    """Vectors (s, q, 2, 3) dual to tangents V, normal to n."""
+    first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
+    size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
+    return np.stack([first, second], axis=2) / size
+
+
+def _frames(over: Overlaps) -> tuple[Floats, Floats, Floats]:
+    """Axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
+    axes = over.planes[1] * over.planes[2][:, None, None]
+    u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
+    _, g = turns(over.parts.element, over.parts.x)
+    along = u @ np.swapaxes(g, 1, 2) @ _scattered(over.slave.element, every)
+    return u, n, -along[..., None] * n[:, None, None]
+
+
+def _scattered(element: FacetElement, part: Longs) -> Floats:
+    nodes = np.array(element.sub_facets)[part % count(element)]
+    return np.eye(element.nodes)[nodes]
+
+
+def _add_inner(over: Overlaps, inner: _OfPairs, found: Sums) -> None:
+    """Add the moments of triangles, and their derivatives at points fixed in the plane.
+
+    A motion dx of the part's nodes changes xi by -K dx; xi of the master by G times the relative
+    motion.
+    """
+    at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
+    (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
+    N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
+    V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
+    K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
+    slopes = slave.first.functions(slave.points[:1])[1] @ reference_parts(slave)  # (parts, 2, 2)
+    B = slopes[inner.part % count(slave), None].swapaxes(2, 3) @ K  # xi of the facet: -B dx
+    by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
+    by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
+    by_x[:, :, :2] = -B[..., None, :] * N
+    by_x[:, :, 2:4] = G[..., None, :] * at.N[:, :, None, :, None]
+    by_x[:, :, 2:4] -= (G @ np.swapaxes(at.T, 2, 3) @ B)[..., None, :] * N
+    by_y[:, :, 2:4] = -G[..., None, :] * at.f[:, :, None, k:-1, None]
+    by[:, :, 4] = at.by_nodes
+    by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
+    along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
+    by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
+    # a tilt acts like the opposite rotation of all nodes
+    back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
+    back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
+    z = 3 * inner.nodes.shape[1]
+    rates: Floats = by.reshape(s, 5 * q, z)
+    back, tilts = back.reshape(s, 2, z), tilts.reshape(s, 2, 3 * k)
+    rates[..., : 3 * k] += rates @ back.swapaxes(1, 2) @ tilts
+    rates = rates.reshape(s, q, 5, z)
+    values, changes = at.differentiate(rates[:, :, :2], rates[:, :, 2:4], rates[:, :, 4])
+    columns, none = inner.columns(found), np.zeros((s, 1), dtype=np.int64)
+    _scatter(found.values[:, None], inner.facet, none, columns, values[:, None])
+    _scatter(found.changes, inner.facet, inner.nodes, columns, changes)
+    found.add_heights(at, inner.pair)
+
+
+def _add_edges(
+    over: Overlaps,
+    inner: _OfPairs,
+    lines: Floats,
+    ends: Floats,
+    t: Floats,
+    ids: Longs,
+    found: Sums,
+) -> None:
+    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise."""
+    at, (u, normal, tilts) = inner.at, inner.frame
+    (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
+    lines = lines - over.planes[0][inner.part][:, None]
+    first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
+    along, way = second - first, ends[:, 1] - ends[:, 0]
+    points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
+    share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
+    share = np.stack([1.0 - share, share], axis=2)
+    outwards = way[:, ::-1] * [1.0, -1.0] / radius[:, None]
+    by = np.empty((s, q, k + 2, 3))
+    by[:, :, k:] = share[..., None] * (outwards[:, None] @ u)[:, None]
+    height = share @ (lines @ normal[:, :, None])
+    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, 3 * k)).reshape(s, q, k, 3)
+    n, z = at.f.shape[2], 3 * (k + 2)
+    rows = (at.weight[..., None] * at.N)[..., None] * at.f[:, :, None]
+    changes = np.swapaxes(by.reshape(s, q, z), 1, 2) @ rows.reshape(s, q, k * n)
+    nodes = np.concatenate([inner.nodes[:, :k], ids], axis=1)
+    changes = changes.reshape(s, z, k, n)
+    _scatter(found.changes, inner.facet, nodes, inner.columns(found), changes)
+
+
+@numba.njit(**KERNEL)
+def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def]
+    """Add values (s, r d, k, n) at nodes (s, r) and columns (s, n) to facets (s,)."""
+    d = values.shape[1] // nodes.shape[1]
+    for s in range(len(values)):
+        for z in range(values.shape[1]):
+            row = d * nodes[s, z // d] + z % d
+            for j in range(values.shape[2]):
+                for a in range(values.shape[3]):
+                    to[facets[s], row, j, columns[s, a]] += values[s, z, j, a]

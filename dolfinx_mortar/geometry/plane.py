@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, dual_basis, unit
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -81,21 +81,39 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def meet(P, x, xi):  # type: ignore[no-untyped-def]
-    """Where (q, 2) projected facets P (q, 2, 9) have points x (q, 2), or NaN, by Newton from xi."""
-    found = np.full(xi.shape, np.nan)
-    for q in range(len(xi)):
-        r, s = xi[q, 0], xi[q, 1]
-        for _ in range(LIMIT):
-            y0, a0, b0 = _component(P, q, FIRST, r, s)
-            y1, a1, b1 = _component(P, q, SECOND, r, s)
-            e0, e1, inverse = x[q, 0] - y0, x[q, 1] - y1, 1.0 / (a0 * b1 - a1 * b0)
-            dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
-            r, s = r + dr, s + ds
-            if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
-                found[q, 0], found[q, 1] = r, s
-                break
-    return found
+def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
+    """Where (r, s) a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
+    for _ in range(LIMIT):
+        y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
+        y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
+        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
+        dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
+        r, s = r + dr, s + ds
+        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+            return r, s
+    return np.nan, np.nan
+
+
+@numba.njit(**KERNEL)
+def _place(slave, master, axes, part, i, j, on_s, on_m, area):  # type: ignore[no-untyped-def]
+    """Project points on_s of slave facets i on master facets j; overwrite on_m, set area."""
+    P, n = np.empty((1, 2, 9)), np.empty(3)
+    for q in range(len(area)):
+        if q == 0 or part[q] != part[q - 1] or j[q] != j[q - 1]:
+            for a in range(2):
+                for k in range(9):
+                    P[0, a, k] = 0.0
+                    for c in range(3):
+                        P[0, a, k] += axes[part[q], a, c] * master[j[q], c, k]
+        r, s, u, v = on_s[q, 0], on_s[q, 1], 0.0, 0.0
+        for c in range(3):
+            x, _, _ = _component(slave, i[q], c, r, s)
+            _, a1, b1 = _component(slave, i[q], (c + 1) % 3, r, s)
+            _, a2, b2 = _component(slave, i[q], (c + 2) % 3, r, s)
+            n[c] = a1 * b2 - a2 * b1
+            u, v = u + axes[part[q], 0, c] * x, v + axes[part[q], 1, c] * x
+        area[q] = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        on_m[q, 0], on_m[q, 1] = meet(P, u, v, on_m[q, 0], on_m[q, 1])
 
 
 def on_facets(
@@ -119,11 +137,9 @@ def on_facets(
         _on_facet(f.element, part[:, k], xi)
         for k, (f, xi) in enumerate(((slave, xi_s), (master, xi_m)))
     )
-    N, dN, _ = slave.element.functions(on_s)
-    along, x = axes[part[:, 0], :2], slave.x[i]
-    area = np.linalg.norm(dual_basis(dN @ x)[1], axis=1)
-    target = (along @ (N[:, None] @ x).swapaxes(1, 2))[:, :, 0]
-    return on_s, meet(along @ coefficients(master)[j], target, on_m), weight * scale * area
+    area = np.empty(len(weight))
+    _place(coefficients(slave), coefficients(master), axes, part[:, 0], i, j, on_s, on_m, area)
+    return on_s, on_m, weight * scale * area
 
 
 VERTICES = 32
@@ -153,6 +169,13 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
             m += 1
         before, d0 = i, d1
     return m
+
+
+@numba.njit(**KERNEL)
+def copy(P, n, Q):  # type: ignore[no-untyped-def]
+    """Write the polygon P into Q: loops, as array assignments take a second each to compile."""
+    for i in range(n):
+        Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
 
 
 @numba.njit(**KERNEL)
@@ -217,14 +240,12 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
 @numba.njit(**KERNEL)
 def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
     """Write P cut by the convex Q into out; return its size."""
-    for i in range(n):
-        out[i, 0], out[i, 1] = P[i, 0], P[i, 1]
+    copy(P, n, out)
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         a, b = (i, j) if sign > 0 else (j, i)
         n = cut(out, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
-        for k in range(n):
-            out[k, 0], out[k, 1] = spare[k, 0], spare[k, 1]
+        copy(spare, n, out)
         if n < 3:
             return 0
     return n
@@ -252,8 +273,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
     """Append the convex pieces of P without Q; return the new count."""
     rest = np.empty((VERTICES, 2))
-    for i in range(n):
-        rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
+    copy(P, n, rest)
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         a, b = (i, j) if sign > 0 else (j, i)
@@ -262,8 +282,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
             sizes[count] = size
             count += 1
         n = cut(rest, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
-        for k in range(n):
-            rest[k, 0], rest[k, 1] = spare[k, 0], spare[k, 1]
+        copy(spare, n, rest)
         if n < 3:
             break
     return count

@@ -2,15 +2,17 @@
 """Segments: parts of slave facets projected on one master facet, with their quadrature points.
 
 Projection is along the interpolated averaged nodal normals in 2D (`line`), along the mean normal in
-3D (`area`). Candidate pairs are found at any distance, in O(n log n): double cones around the
-projections against a hierarchy of balls around the master facets.
+3D (`area`). Candidate pairs are found at any distance, in O(n sqrt n): double cones around
+the projections against balls around groups of master facets.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numba
 import numpy as np
+import scipy
 
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line, plane
@@ -80,100 +82,47 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
-    """All pairs (cone, ball of the first level) that can meet.
-
-    Level l has balls start[l] to start[l + 1]; ball i encloses balls i b to (i + 1) b - 1 below, b
-    = 2^d.
-    """
-    branches = 2 ** centre.shape[1]
-    pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
-    levels = len(start) - 1
-    highest = start[levels] - start[levels - 1]
-    stack = np.empty((highest + levels * branches, 2), dtype=np.int32)
-    p = 0
-    for s in range(len(radius)):
-        c, a, r, t = centre[s], axis[s], radius[s], slope[s]
-        for top in range(highest):
-            stack[top, 0], stack[top, 1] = levels - 1, highest - 1 - top
-        top = highest
-        while top > 0:
-            top -= 1
-            level, k = stack[top, 0], stack[top, 1]
-            if not _meets(c, a, r, t, ball[start[level] + k], rho[start[level] + k]):
+def _meeting(cones, groups, balls, size):  # type: ignore[no-untyped-def]
+    """All pairs (cone, ball) that can meet; each group is around `size` balls."""
+    n = len(cones[0])
+    pairs, p = np.empty((8 * (n + len(balls[0])) + 64, 2), np.int32), 0
+    for s in range(n):
+        c, a, r, t = cones[0][s], cones[1][s], cones[2][s], cones[3][s]
+        for g in range(len(groups[0])):
+            if not _meets(c, a, r, t, groups[0][g], groups[1][g]):
                 continue
-            if level > 0:
-                size = start[level] - start[level - 1]
-                for j in range(branches * k, min(branches * (k + 1), size)):
-                    stack[top, 0], stack[top, 1] = level - 1, j
-                    top += 1
-                continue
-            if p == len(pairs):
-                longer = np.empty((2 * p, 2), dtype=np.int32)
-                for i in range(p):
-                    longer[i, 0], longer[i, 1] = pairs[i, 0], pairs[i, 1]
-                pairs = longer
-            pairs[p, 0], pairs[p, 1] = s, k
-            p += 1
+            for k in range(g * size, min((g + 1) * size, len(balls[0]))):
+                if not _meets(c, a, r, t, balls[0][k], balls[1][k]):
+                    continue
+                if p == len(pairs):
+                    longer = np.empty((2 * p, 2), dtype=np.int32)
+                    for i in range(p):
+                        longer[i, 0], longer[i, 1] = pairs[i, 0], pairs[i, 1]
+                    pairs = longer
+                pairs[p, 0], pairs[p, 1] = s, k
+                p += 1
     return pairs[:p]
 
 
-def sort_in_space(x: Floats) -> Longs:
-    """Order of points x (n, d) with compact aligned blocks of 2^j points, j >= d, by halving.
-
-    Faster than a k-d tree's or Morton's curve.
-    """
-    order = np.arange(len(x))
-    half = smallest = 2 ** x.shape[1]
-    while 2 * half < len(x):
-        half *= 2
-    while half >= smallest:
-        full = len(x) - len(x) % (2 * half)
-        for blocks in (order[:full].reshape(-1, 2 * half), order[None, full:]):  # views
-            if len(blocks) and blocks.shape[1] > half:
-                points = x[blocks]
-                widest = np.argmax(np.ptp(points, axis=1), axis=1)[:, None, None]
-                along = np.take_along_axis(points, widest, axis=2)[:, :, 0]
-                halves = np.argpartition(along, half, axis=1)
-                blocks[:] = np.take_along_axis(blocks, halves, axis=1)
-        half //= 2
-    return order
+def groups_in_space(x: Floats) -> tuple[Longs, int]:
+    """Order of points x (n, d) with compact groups, and the size sqrt(n) of these."""
+    order = scipy.spatial.cKDTree(np.nan_to_num(x)).indices
+    return np.asarray(order, dtype=np.int64), math.isqrt(max(len(x) - 1, 0)) + 1
 
 
-@numba.njit(**KERNEL)
-def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
-    branches, d = 2 ** ball.shape[1], ball.shape[1]
-    for level in range(1, len(start) - 1):
-        for k in range(start[level], start[level + 1]):
-            first = start[level - 1] + (k - start[level]) * branches
-            last = min(first + branches, start[level])
-            for j in range(first, last):
-                for i in range(d):
-                    ball[k, i] += ball[j, i] / (last - first)
-            for j in range(first, last):
-                square = 0.0
-                for i in range(d):
-                    square += (ball[j, i] - ball[k, i]) ** 2
-                rho[k] = max(rho[k], (np.sqrt(square) + rho[j]) * (1 + HALF_OF_DIGITS))
-
-
-def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
-    """Pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
-
-    The order of the balls affects speed only.
-    """
+def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
+    """Pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball."""
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
-    order = sort_in_space(centre) if order is None else order
-    sizes = [n]
-    while sizes[-1] > 1:
-        sizes.append(-(-sizes[-1] // 2 ** centre.shape[1]))
-    start = np.cumsum([0, *sizes])
-    balls, radii = np.zeros((start[-1], centre.shape[1])), np.zeros(start[-1])
-    balls[:n], radii[:n] = centre[order], radius[order]
-    _enclose(balls, radii, start)
-    pairs = _meeting(cones.centre, cones.axis, cones.radius, cones.slope, balls, radii, start)
+    order, size = groups_in_space(centre)
+    balls, start = (centre[order], radius[order]), np.arange(0, n, size)
+    count = np.diff(np.append(start, n))
+    middle = np.add.reduceat(balls[0], start) / count[:, None]
+    apart = np.linalg.norm(balls[0] - middle.repeat(count, axis=0), axis=1) + balls[1]
+    groups = middle, np.maximum.reduceat(apart, start) * (1 + HALF_OF_DIGITS)
+    every = cones.centre, cones.axis, cones.radius, cones.slope
+    pairs = _meeting(every, groups, balls, size)
     keys = np.sort(pairs[:, 0].astype(np.int64) * n + order[pairs[:, 1]])
     return np.stack(np.divmod(keys, n), axis=1).astype(np.int32)
 
@@ -203,9 +152,7 @@ class Segments:
     @property
     def covered(self) -> Ints:
         """Slave facets (c,), ascending, with points."""
-        first = np.ones(len(self.slave), dtype=bool)
-        np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
-        return self.slave[first]
+        return np.unique(self.slave)
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
@@ -238,15 +185,13 @@ def are_facing(n_s: Floats, n_m: Floats) -> Bools:
     return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < -FACING
 
 
-def find_candidates(
-    slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
-) -> Ints:
+def find_candidates(slave: Facets, n_s: Floats, master: Facets, margin: Floats) -> Ints:
     """Pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
     A superset, also without margins (ms,). n_s (ms, k, d) are averaged unit normals.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
-    pairs = find_meeting(cones, *bounding_balls(master.x), order)
+    pairs = find_meeting(cones, *bounding_balls(master.x))
     if slave.x.shape[2] == 3:
         pairs = pairs[plane.are_near(slave, master, pairs, margin)]
     n_s, n_m = projection_directions(slave, n_s), facet_normals(master)

@@ -38,7 +38,7 @@ from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing
 from dolfinx_mortar.spaces import check_mesh
-from dolfinx_mortar.tags import check_tag, label, tag_of
+from dolfinx_mortar.tags import label, tag_of
 
 # Least free part of a node's normal for a multiplier, which may exceed the free force tenfold.
 MIN_FREE_NORMAL = 0.1
@@ -71,7 +71,6 @@ class MortarInterface(Interface):
     ) -> None:
         super().__init__(facet_tags, slave=slave)
         self.master = tag_of(facet_tags, master, "master")
-        check_tag("master", self.master)
         if self.slave == self.master and not self.unilateral:
             raise ValueError(
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "

@@ -7,7 +7,6 @@ Hess phi dx_j. Changes of heights of second order by normal strain are left out.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -25,8 +24,7 @@ from dolfinx_mortar.algebra.csr import (
 )
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
-from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.coupling import CoupledSides
+from dolfinx_mortar.interfaces.coupling import CoupledSides, on_facets
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.common_normals import carried, in_planes
@@ -41,9 +39,14 @@ from dolfinx_mortar.mortar.surface import (
     coordinates,
     facets_at,
     nodal_normals,
+)
+from dolfinx_mortar.mortar.tangent import (
+    Derivatives,
+    Tractions,
+    differentiate,
+    differentiate_whole,
     normal_derivatives,
 )
-from dolfinx_mortar.mortar.tangent import Derivatives, Tractions, differentiate, differentiate_whole
 from dolfinx_mortar.shapes.shape import unit_vectors
 
 
@@ -78,31 +81,7 @@ def slip_rows(
     return scipy.sparse.csr_array(parts[0] + parts[1])
 
 
-class LinkDerivatives(ABC):
-    """Derivatives of forces, gaps and slips of an interface."""
-
-    @abstractmethod
-    def serves(self, link: CoupledSides) -> bool:
-        """Whether the pattern fits another link, on this rank."""
-
-    @abstractmethod
-    def differentiate(
-        self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
-    ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives d(B^T lambda)/du, dG_j in rows w_n, and which (n,) are known; collective.
-
-        The next call refills the matrices. Multipliers are lambda_j (owned nodes,), tangential
-        tractions (owned nodes, d).
-        """
-
-    @abstractmethod
-    def slips(
-        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
-    ) -> scipy.sparse.csr_array:
-        """See `slip_rows`, at the last differentiated iterate; collective."""
-
-
-class ContactDerivatives(LinkDerivatives):
+class ContactDerivatives:
     """Derivatives of the forces and weighted gaps of one contact, F_x + F_n C + F_p N.
 
     C are derivatives of contact normals, N of averaged ones (for projections in 2D).
@@ -146,17 +125,25 @@ class ContactDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """See `LinkDerivatives`; in space known gap rows are those near loaded facets."""
-        slave, (_, operators) = link.sides.slave, link.mortar
+        """Derivatives d(B^T lambda)/du, dG_j in rows w_n, and which (n,) are known; collective.
+
+        The next call refills the matrices. In space known rows are those near loaded facets.
+        Multipliers are lambda_j (owned nodes,), tangential tractions (owned nodes, d).
+        """
+        slave, (pairing, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
         known: Bools = np.ones(len(x), dtype=bool)
         segments = operators.segments
         if _in_space(link):
-            known = _neighbours(slave, np.asarray(given.tractions.any(axis=1)))
+            loaded: Bools = np.asarray(given.tractions.any(axis=1))
+            known = on_facets(slave, loaded[slave.facets].any(axis=1))
             asked: Bools = np.asarray(known[slave.facets].any(axis=1))
             segments = some_points(segments, asked[segments.slave])
-        found = self._derivatives(link, u, segments, keep, given)
+        common = link.coupling.common
+        assert common is not None
+        at = pairing, u, segments, keep, given, link.pattern.smooth
+        found = differentiate(*at, receive(pairing, common.of_master))
         N = self.averaged.fill(normal_derivatives(slave, x))
         C = self.normals.fill(link, u, found)
         along = [] if _in_space(link) else [(found.F_p, found.G_p, N)]
@@ -165,18 +152,10 @@ class ContactDerivatives(LinkDerivatives):
         G = self.gaps.fill(found.G_x, *((G_n, A) for _, G_n, A in parts))
         return F, G, known[: slave.owned]
 
-    def _derivatives(
-        self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
-    ) -> Derivatives:
-        pairing, common = link.mortar[0], link.coupling.common
-        assert common is not None
-        at = pairing, u, segments, keep, given, link.pattern.smooth
-        return differentiate(*at, receive(pairing, common.of_master))
-
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> scipy.sparse.csr_array:
-        """See `LinkDerivatives`; collective."""
+        """See `slip_rows`, at the last differentiated iterate; collective."""
         tangents = link.coupling.rows[:, 1:]
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         turned = -along[:, None, None] * tangents  # tangents change along n only
@@ -224,7 +203,7 @@ class _Normals:
         )
         nodes: Ints = np.arange(len(link.nodes), dtype=np.int32)[:, None]
         by_slave, by_master = (
-            [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in (common.by_slave, common.by_master)
+            [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in common.differentiate()
         )
         return self._sum.fill([], (by_slave, self._N), (by_master, facing))
 
@@ -252,12 +231,6 @@ def _averaged(surface: Surface) -> Triplets:
 
 def _in_space(link: CoupledSides) -> bool:
     return link.sides.V.mesh.topology.dim == 3
-
-
-def _neighbours(slave: Surface, marked: Bools) -> Bools:
-    found = np.zeros((len(slave.nodes), 1))
-    found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
-    return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
 
 
 def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> scipy.sparse.csr_array:
@@ -298,7 +271,7 @@ def tractions_of(
     return Tractions(n, traction, change.reshape(-1, d, d)), mark[:, 0] > 0
 
 
-class ToolDerivatives(LinkDerivatives):
+class ToolDerivatives:
     """Derivatives for all facets of a side below a tool."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
@@ -322,7 +295,7 @@ class ToolDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """See `LinkDerivatives`; collective."""
+        """See `ContactDerivatives`; collective."""
         slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
         pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
         given, keep = tractions_of(link, multipliers, tangential)
@@ -352,7 +325,7 @@ class ToolDerivatives(LinkDerivatives):
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> scipy.sparse.csr_array:
-        """See `LinkDerivatives`; collective."""
+        """See `ContactDerivatives`; collective."""
         slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         assert isinstance(partners, ToolPartners)
         by_x, by_n = partners.derivatives(link, since)
@@ -371,3 +344,6 @@ class ToolDerivatives(LinkDerivatives):
         size, g = unit_vectors(found.gradient)
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
         return np.asarray(-across @ found.hessian / np.maximum(size, TINY)[:, None, None])
+
+
+LinkDerivatives = ContactDerivatives | ToolDerivatives

@@ -18,11 +18,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.csr import BlockMatrix
@@ -35,7 +36,9 @@ from dolfinx_mortar.mortar.curvature_correction import NodeShape, SmoothSide
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
-from dolfinx_mortar.mortar.surface import Surface
+from dolfinx_mortar.mortar.surface import Surface, accumulate
+
+S = TypeVar("S", np.bool_, np.int32)
 
 
 @dataclass(frozen=True)
@@ -158,12 +161,12 @@ def create_pattern(
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
 
 
-def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
-    """Marks (owned nodes,) extended to ghosts; collective."""
+def with_ghosts(V: fem.FunctionSpace, owned: npt.NDArray[S]) -> npt.NDArray[S]:
+    """Marks or numbers (owned nodes,) extended to ghosts; collective."""
     vector = la.vector(V.dofmap.index_map, 1)
     vector.array[: len(owned)] = owned
     vector.scatter_forward()
-    return np.asarray(vector.array > 0)
+    return vector.array.astype(owned.dtype)
 
 
 def mark(surface: Surface) -> Bools:
@@ -171,6 +174,13 @@ def mark(surface: Surface) -> Bools:
     owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
     owned[surface.nodes[: surface.owned]] = True
     return with_ghosts(surface.V, owned)
+
+
+def on_facets(side: Surface, which: npt.ArrayLike) -> Bools:
+    """Local nodes (n,) of facets (m,) that are marked on any rank; collective."""
+    marks = np.zeros(len(side.nodes))
+    marks[side.facets[np.asarray(which)]] = 1.0
+    return np.asarray(accumulate(side, marks) > 0.0)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
-from dolfinx_mortar.tags import check_tag, label, tag_of
+from dolfinx_mortar.tags import label, tag_of
 
 # Default least angle of an edge: circles of at least nine facets are smooth, chamfers not.
 FEATURE_ANGLE = 40.0
@@ -92,8 +92,7 @@ class Interface(Collective, Results, ABC):
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
         super().__init__()
         check_tags(facet_tags)
-        self.slave: int = tag_of(facet_tags, slave, "slave")
-        check_tag("slave", self.slave)
+        self.slave = tag_of(facet_tags, slave, "slave")
         self.facet_tags = facet_tags
 
     def __repr__(self) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import maximum, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import ROOM, SlipLimits
 from dolfinx_mortar.interfaces.coupling import CoupledSides, relative_motions, with_ghosts
@@ -78,16 +78,19 @@ class Link(CoupledSides):
         normal = (d * nodes).astype(np.int32)
         tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
         values, weight, axes = limit[nodes], self.coupling.weight[on, 0], self.coupling.rows[on, 1:]
-        motion = relative_motions(self, moved)[0]
-        if partner is not None:
-            motion = np.where(partner.known[:, None], partner.motion(self, moved), motion)
         # parts in prescribed directions
-        before = np.zeros_like(motion[on]) if sliding is None else sliding[nodes]
-        parts, n = np.stack([motion[on], before]), self.coupling.normals[on]
-        parts -= (parts * n).sum(axis=2)[:, :, None] * n
-        free = axes * some[:, :, None]
-        parts -= np.einsum("mti,mtj,kmj->kmi", free, free, parts)
-        beside, before = parts * self.sides.fixed[nodes].any(axis=1, keepdims=True)
+        parts, room = np.zeros((2, len(nodes), d)), 1.0
+        held = self.sides.fixed[nodes].any(axis=1, keepdims=True)
+        if any_rank(self.sides.V.mesh.comm, held.any())[0]:
+            motion = relative_motions(self, moved)[0]
+            if partner is not None:
+                motion = np.where(partner.known[:, None], partner.motion(self, moved), motion)
+            parts[0], parts[1] = motion[on], 0.0 if sliding is None else sliding[nodes]
+            n, free = self.coupling.normals[on], axes * some[:, :, None]
+            parts -= (parts * n).sum(axis=2)[:, :, None] * n
+            parts -= np.einsum("mti,kmt->kmi", free, np.einsum("mti,kmi->kmt", free, parts))
+            room = ROOM * mean_facet_length(self.sides.slave)
+        beside, before = parts * held
         return SlipLimits(
             nodes=nodes,
             normal=normal,
@@ -99,7 +102,7 @@ class Link(CoupledSides):
             weight=weight,
             beside=beside,
             before=before,
-            room=np.full(len(nodes), ROOM * mean_facet_length(self.sides.slave)),
+            room=np.full(len(nodes), room),
             opening=self.coupling.R[on, :, 0],
         )
 
@@ -211,6 +214,8 @@ def _resultants(
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = comm.allreduce(local, op=MPI.SUM)
+    rigid = link.interface.rigid
+    place = np.zeros(0) if rigid is None else rigid.place()
     found = Resultants(
         force=total[0, 0, :d],
         moment=total[0, 1],
@@ -219,14 +224,9 @@ def _resultants(
         multiplier=multiplier[:, 0] if link.unilateral else multiplier,
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
-        place=_place_of(link.interface),
+        place=np.append(place, np.zeros(3 - len(place))),
     )
     return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
-
-
-def _place_of(interface: Interface) -> Floats:
-    place = np.zeros(0) if interface.rigid is None else interface.rigid.place()
-    return np.append(place, np.zeros(3 - len(place)))
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:

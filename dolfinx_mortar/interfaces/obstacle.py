@@ -30,6 +30,7 @@ from dolfinx_mortar.interfaces.coupling import (
     create_coupling,
     create_pattern,
     free_directions,
+    on_facets,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.tool import (
@@ -44,7 +45,6 @@ from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, means
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
-    accumulate,
     coordinates,
     mean_facet_length,
 )
@@ -165,9 +165,7 @@ class Obstacle(Movable, Unilateral):
             # only facets of flat sides see a tip between the nodes
             limit = HALF_OF_DIGITS * mean_facet_length(slave)
             bent = (np.abs(own.sagitta) > limit).any(axis=1)
-            at_nodes = np.zeros(len(slave.nodes))
-            at_nodes[slave.facets[bent]] = 1.0
-            on = np.asarray(accumulate(slave, at_nodes) > 0.0)[: slave.owned]
+            on = on_facets(slave, bent)[: slave.owned]
             is_round = any_rank(sides.V.mesh.comm, on.any())[0]
             faceted = on if is_round and not smooth else None
             smooth = smooth and is_round
@@ -185,11 +183,8 @@ class Obstacle(Movable, Unilateral):
         with raised_together(sides.V.mesh.comm):
             close = self.tool.pose().distance(self.tool.asked, coordinates(slave, u)).value
         near = np.asarray(close <= FACETS * length)
-        count = np.zeros(len(near))
-        count[slave.facets[near[slave.facets].any(axis=1)]] = 1.0
-        reached = np.asarray(accumulate(slave, count)[own] > 0.0)
-        share = reached.astype(np.float64)
-        return Coverage(share, reached, np.zeros_like(reached), near[own])
+        reached = on_facets(slave, near[slave.facets].any(axis=1))[own]
+        return Coverage(reached.astype(np.float64), reached, np.zeros_like(reached), near[own])
 
     def couple(
         self,

@@ -29,7 +29,8 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
-from dolfinx_mortar.mortar.surface import accumulate, carrying
+from dolfinx_mortar.mortar.surface import accumulate
+from dolfinx_mortar.mortar.tangent import carrying
 
 
 @dataclass(frozen=True)

@@ -109,29 +109,25 @@ class InterfaceSystem:
     ) -> None:
         self.V, self.interfaces = V, list(interfaces)
         self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
-        self._find_spreads()
+        two = [sides.unilateral and sides.master is not None for sides in self.sides]
+        if any(two):
+            contacts, ties = (
+                [part for one in self.sides if one.unilateral is opens for part in one.surfaces]
+                for opens in (True, False)
+            )
+            mirrors = np.any([sides.mirrors for sides in self.sides if sides.unilateral], axis=0)
+            columns = [with_ghosts(V, column) for column in mirrors[: self.n].T]
+            spreads = find_spreads(self.boundary, contacts, ties, np.stack(columns, axis=1))
+            self.sides = [
+                replace(sides, spreads=spreads) if some else sides
+                for sides, some in zip(self.sides, two, strict=True)
+            ]
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
         self._reused = Reused()
         self.searches = 0
         self.middles: list[tuple[Middles, ...]] | None = None
         self.faced = False
-
-    def _find_spreads(self) -> None:
-        two = [sides.unilateral and sides.master is not None for sides in self.sides]
-        if not any(two):
-            return
-        contacts, ties = (
-            [surface for one in self.sides if one.unilateral is opens for surface in one.surfaces]
-            for opens in (True, False)
-        )
-        mirrors = np.any([sides.mirrors for sides in self.sides if sides.unilateral], axis=0)
-        columns = [with_ghosts(self.V, column) for column in mirrors[: self.n].T]
-        spreads = find_spreads(self.boundary, contacts, ties, np.stack(columns, axis=1))
-        self.sides = [
-            replace(sides, spreads=spreads) if some else sides
-            for sides, some in zip(self.sides, two, strict=True)
-        ]
 
     @property
     def n(self) -> int:
@@ -188,11 +184,6 @@ class InterfaceSystem:
         """Present T; None without interfaces."""
         return self.present.transformation
 
-    @property
-    def notes(self) -> list[str]:
-        """Notes on multipliers removed by the present claims."""
-        return list(self.present.claims.notes)
-
     def link(self, interface: Interface) -> Link:
         """Present link of an interface."""
         return next(link for link in self.links if link.interface is interface)
@@ -247,7 +238,12 @@ class InterfaceSystem:
     def near(self, u: fem.Function | None) -> Configuration:
         """Couple the last pairs at X + u, or new ones where they do not fit; collective."""
         reused = self._reused
-        if self.interfaces and not self._slid(u):
+        slid = [
+            outside_margin(pairing, u)
+            for interface, (pairing, _) in zip(self.interfaces, reused.pairs, strict=True)
+            if u is not None and pairing is not None and not interface.stays
+        ]
+        if self.interfaces and not any(slid):
             links = self._coupled(u)
             if not are_outdated(reused.claims, links):
                 return Configuration(links, reused.claims, paired_at=reused.paired_at)
@@ -288,13 +284,6 @@ class InterfaceSystem:
         self.present = replace(found, transformation=T)
         return T is not reused.transformation
 
-    def _slid(self, u: fem.Function | None) -> bool:
-        slid = []
-        for interface, (pairing, _) in zip(self.interfaces, self._reused.pairs, strict=True):
-            if not interface.stays and u is not None and pairing is not None:
-                slid.append(outside_margin(pairing, u))
-        return any(slid)
-
     @contextmanager
     def put_back(self) -> Iterator[None]:
         """Restore the present configuration after the block; collective."""
@@ -317,7 +306,7 @@ class InterfaceSystem:
         """Derivatives of the moving geometry at X + u; collective.
 
         `slips` are the displacement since the last commit, and the partners; others as in
-        `LinkDerivatives`.
+        `ContactDerivatives`.
         """
         T, moving = self.transformation, self._reused.moving
         assert T is not None

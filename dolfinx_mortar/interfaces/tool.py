@@ -396,12 +396,6 @@ class Outline:
         """Signed distances (n,) of points (n, d)."""
         return self.shape.values(self.pose.to_tool(x))
 
-    @property
-    def surface(self) -> tuple[Floats, Longs] | None:
-        """Present points (n, d) with lines or triangles, or None."""
-        found = self.shape.surface
-        return None if found is None else (self.pose.to_space(found[0]), found[1])
-
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
         """Points in initial position, and their lines or triangles (m, d), in a box."""
         if (found := self.shape.surface) is not None:

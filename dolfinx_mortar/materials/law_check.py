@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from dolfinx_mortar.materials.protocol import (
     create_law,
     grouped,
     named_parameters,
-    ungrouped,
 )
 from dolfinx_mortar.materials.response import (
     PointValues,
@@ -196,7 +195,7 @@ class LawAtPoint:
         """Values at q strains or F (.., 3, 3) from one state; a ValueError unless all is finite."""
         strains = strains.reshape(-1, 3, 3)
         q = len(strains)
-        p = grouped({name: np.full(q, value) for name, value in self.parameters.items()})
+        p = {name: np.full(q, value) for name, value in self.parameters.items()}
         found = self.values(strains, {n: np.repeat(v, q, axis=0) for n, v in state.items()}, p)
         for strain in strains[found.undefined]:
             volume = f"J = {np.linalg.det(strain):.3g}, " if self.finite else ""
@@ -255,9 +254,9 @@ def _values_in_ufl(law: Law, parameters: Iterable[str]) -> Callable[..., PointVa
     if law.condensed:
         normal = compile_kernel(_entries(*(response.equation or [root])))
 
-    def values(strain: Floats, state: State, p: SimpleNamespace) -> PointValues:
+    def values(strain: Floats, state: State, p: Mapping[str, Floats]) -> PointValues:
         q = len(strain)
-        parts = strain, np.zeros((q, 10)), *state.values(), *ungrouped(p).values()
+        parts = strain, np.zeros((q, 10)), *state.values(), *p.values()
         numbers = np.hstack([part.reshape(q, -1) for part in parts])
 
         def equation(points: Ints, z: Floats) -> Floats:
@@ -295,10 +294,8 @@ def _symbols(parameters: Iterable[str], *shapes: tuple[int, ...]) -> list[Any]:
 
 
 def _entries(*values: Expr) -> Expr:
-    entries: list[Expr] = []
-    for value in values:
-        entries += [value[i, j] for i in range(3) for j in range(3)] if value.ufl_shape else [value]
-    return ufl.as_vector(entries)
+    every = ((value, at) for value in values for at in np.ndindex(value.ufl_shape))
+    return ufl.as_vector([value[at] if at else value for value, at in every])
 
 
 class _Judge:

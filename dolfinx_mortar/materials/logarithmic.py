@@ -16,7 +16,6 @@ Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ import ufl
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
-from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
 from dolfinx_mortar.materials.response import (
     PointValues,
     normal_equation,
@@ -97,12 +96,9 @@ class LogarithmicLaw:
     def _compile(self, jit: Callable[[Expr], Kernel]) -> None:
         sizes = [len(self._pairs) if shape else 1 for shape in self._memory.values()]
         numbers = constants(len(self._strains) + sum(sizes) + len(self._names))
-
-        def tensor(entries: list[Any]) -> Expr:
-            return from_components(ufl.as_vector(entries))
-
-        law, arguments = self.law, self._arguments(list(numbers), tensor)
-        response = respond(law, *arguments)
+        law, columns = self.law, list(numbers)
+        strain, state, p = self._arguments(columns, lambda c: from_components(ufl.as_vector(c)))
+        response = respond(law, strain, state, grouped(p))
         changes = {pair: response.change(_unit(*pair)) for pair in self._pairs}
         answers = [response.stress[pair] for pair in self._strains]
         answers += [changes[km][ij] for ij, km in self._ways]
@@ -127,7 +123,7 @@ class LogarithmicLaw:
         state = {PLASTIC: 0 * strain} if self._remembers else {}
         for name, shape in self._memory.items():
             state[name] = tensor([next(rest) for _ in self._pairs]) if shape else next(rest)
-        return strain, state, grouped(dict(zip(self._names, rest, strict=True)))
+        return strain, state, dict(zip(self._names, rest, strict=True))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
@@ -187,11 +183,8 @@ class LogarithmicLaw:
 
     def _values(self, numbers: Floats) -> PointValues:
         """Values of a law of arrays."""
-
-        def tensor(columns: list[Floats]) -> Floats:
-            return tensor_of(np.stack(columns, axis=1))
-
-        return values_at_points(self.law, *self._arguments(list(numbers.T), tensor))
+        arguments = self._arguments(list(numbers.T), lambda c: tensor_of(np.stack(c, axis=1)))
+        return values_at_points(self.law, *arguments)
 
     def find_normal(self, start: Start, H: Floats) -> None:
         """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
@@ -234,10 +227,12 @@ class LogarithmicLaw:
                     new[name][some] = tensor_of(part) if shape else part[:, 0]
         return new
 
-    def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
+    def values(
+        self, F: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
+    ) -> PointValues:
         """Values at F (q, 3, 3), see `response.values_at_points`."""
         H = np.ascontiguousarray(F - np.eye(3))
-        start = self.start(len(F), state, ungrouped(p))
+        start = self.start(len(F), state, p)
         P, A, psi = self.response(start, H)
         energy = psi if self.has_energy else None
         new = self.update(start, H, state)

@@ -50,19 +50,6 @@ def grouped(values: Mapping[str, Any]) -> SimpleNamespace:
     return SimpleNamespace(**groups)
 
 
-def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
-    """Inverse of `grouped`.
-
-    >>> ungrouped(grouped({"a": 1, "b[0]": 2, "b[1]": 3}))
-    {'a': 1, 'b[0]': 2, 'b[1]': 3}
-    """
-    found: dict[str, Any] = {}
-    for name, value in vars(p).items():
-        several = isinstance(value, tuple)
-        found |= {f"{name}[{i}]": v for i, v in enumerate(value)} if several else {name: value}
-    return found
-
-
 def check_fields(law: Any) -> None:
     """Raise ValueError for numbers out of range."""
     kind = type(law)
@@ -92,10 +79,12 @@ def wrong_values(
     values: Mapping[str, Floats],
 ) -> dict[str, Bools]:
     """Violated rules, in words, with masks (n,)."""
-    found = {
-        f"{name} in {interval(*limits)}": ~_inside(values[name], *limits)
-        for name, limits in ranges.items()
-    }
+    found: dict[str, Any] = {}
+    for name, (lower, upper, closed) in ranges.items():
+        given = values[name]
+        inside = (given >= lower if closed else given > lower) & (given < upper)
+        rule = f"{name} in {'[' if closed else '('}{lower}, {upper})"
+        found[rule] = ~(np.isfinite(given) & inside)
     sound = ~np.any(list(found.values()), axis=0) if found else True
     for rule, holds in conditions(law, rules, values).items():
         found[rule] = sound & ~holds
@@ -118,20 +107,6 @@ def conditions(
             f"{law}.conditions raised {type(error).__name__}: {error}; it must return "
             "rule -> whether or where it holds, of numbers or arrays (n,)."
         ) from error
-
-
-def _inside(values: Floats, lower: float, upper: float, closed: bool) -> Bools:
-    above = values >= lower if closed else values > lower
-    return np.asarray(np.isfinite(values) & above & (values < upper))
-
-
-def interval(lower: float, upper: float, closed: bool) -> str:
-    """Format a range for messages.
-
-    >>> interval(-1.0, 0.5, False)
-    '(-1.0, 0.5)'
-    """
-    return f"{'[' if closed else '('}{lower}, {upper})"
 
 
 PLASTIC = "plastic_strain"
@@ -294,10 +269,9 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
-    parts: dict[str, Any] = {}
-    for part in ("elastic_stress", "energy", "updated_state", "update"):
-        parts[part] = _method(kind, part)
-    parts["stress"] = _fitting(material, "stress")
+    names = ("elastic_stress", "energy", "updated_state", "update", "output", "conditions")
+    parts: dict[str, Any] = {part: _method(kind, part) for part in (*names, "volumetric")}
+    parts |= {part: _fitting(material, part) for part in ("stress", "tangent", "normal_strain")}
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
     needed = {"state": state is not None, "linear": linear is not None}
     needed["elastic_stress"] = parts["elastic_stress"] is not None
@@ -320,15 +294,16 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
         state=_checked_state(kind.__name__, state),
         linear=bool(linear),
         splits=bool(getattr(kind, "splits", False)),
-        isotropic=_is_isotropic(kind.__name__, material, state),
+        isotropic=bool(getattr(material, "isotropic", False)),
         ranges=getattr(kind, "ranges", {}),
-        tangent=_fitting(material, "tangent"),
-        normal_strain=_fitting(material, "normal_strain"),
-        output=_method(kind, "output"),
-        conditions=_method(kind, "conditions"),
-        volumetric=_method(kind, "volumetric"),
         **parts,
     )
+    tensors = [variable for variable, shape in law.state.items() if shape and variable != PLASTIC]
+    if law.isotropic and tensors:
+        raise ValueError(
+            f"{law.name}: isotropic is True, but state has the tensor {tensors[0]!r}; the state of "
+            f"an isotropic law may have scalars and {PLASTIC!r} only: leave isotropic out."
+        )
     _check_parameters(law, material)
     return law
 
@@ -345,17 +320,6 @@ def _check_parameters(law: Law, material: Any) -> None:
         scalar = isinstance(value, Real) or (isinstance(value, Expr) and value.ufl_shape == ())
         if not scalar:
             raise ValueError(f"{law.name}: the parameter {name} is {value!r}: {remedy}")
-
-
-def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    isotropic = bool(getattr(material, "isotropic", False))
-    tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
-    if isotropic and tensors:
-        raise ValueError(
-            f"{name}: isotropic is True, but state has the tensor {tensors[0]!r}; the state of an "
-            f"isotropic law may have scalars and {PLASTIC!r} only: leave isotropic out."
-        )
-    return isotropic
 
 
 def _method(kind: type, name: str) -> Callable[..., Any] | None:

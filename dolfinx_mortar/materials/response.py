@@ -13,7 +13,6 @@ linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z befor
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -22,7 +21,7 @@ import numpy as np
 import ufl
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Bools, Floats, Ints
-from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
@@ -33,34 +32,22 @@ from ufl.corealg.multifunction import MultiFunction
 NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
-def with_normal_strain(strain: Expr, z: Any) -> Expr:
-    """The symmetrised in-plane part, with zz = z."""
-    shear = (strain[0, 1] + strain[1, 0]) / 2
-    return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
-
-
-def with_normal_stretch(F: Expr, z: Any) -> Expr:
-    """The in-plane part, with F_zz = 1 + z."""
-    return _with_normal(F, 1.0 + z)
-
-
-def _with_normal(tensor: Expr, normal: Any) -> Expr:
-    (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
+def with_normal(strain: Expr, normal: Any) -> Expr:
+    """The in-plane part of a strain, or of F, with zz = normal."""
+    (a, b), (c, d) = ((strain[i, 0], strain[i, 1]) for i in range(2))
     return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
 
 
 def in_plane(tensor: Expr) -> Expr:
     """The in-plane part."""
-    rows = [[tensor[i, j] for j in range(2)] for i in range(2)]
-    return ufl.as_tensor([[*rows[0], 0], [*rows[1], 0], [0, 0, 0]])
+    return with_normal(tensor, 0)
 
 
-def condensed(change: Callable[[Expr], Expr], *, finite: bool = False) -> Callable[[Expr], Expr]:
+def condensed(change: Callable[[Expr], Expr]) -> Callable[[Expr], Expr]:
     """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d."""
-    flat = _with_normal if finite else with_normal_strain
 
     def in_plane_change(direction: Expr) -> Expr:
-        fixed, normal = change(flat(direction, 0.0)), change(NORMAL)
+        fixed, normal = change(in_plane(direction)), change(NORMAL)
         return in_plane(fixed - fixed[2, 2] / normal[2, 2] * normal)
 
     return in_plane_change
@@ -167,24 +154,23 @@ class Response:
     start: Expr | None = None  # elastic root
 
 
-def respond(
-    law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Expr | None = None
-) -> Response:
+def respond(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Any = None) -> Response:
     """Stress, energy and new internal variables of a law in UFL; a ValueError if the law fails.
 
     z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
     """
     equation = root = start = None
-    finite = law.strain == "finite"
-    with_normal = with_normal_stretch if finite else with_normal_strain
+    unit = 1.0 if law.strain == "finite" else 0.0
     if law.plane_stress and law.normal_strain is not None:
-        flat = with_normal_strain(strain, 0.0)
-        root = _call(law, "normal_strain", (), flat, state, p)
-        strain = with_normal_strain(strain, z)
+        root = _call(law, "normal_strain", (), in_plane(strain), state, p)
+        z = root if z is None else z
     elif law.plane_stress:
-        equation = _equation(law, with_normal(strain, 0.0 if z is None else z), state, p)
-        start = None if finite else _elastic_root(law, strain, state, p)
-        strain = with_normal(strain, -equation[0] / equation[1] if z is None else z)
+        there = with_normal(strain, unit + (0.0 if z is None else z))
+        equation = _equation(law, there, state, p)
+        start = None if unit else _elastic_root(law, in_plane(strain), state, p)
+        z = -equation[0] / equation[1] if z is None else z
+    if law.plane_stress:
+        strain = with_normal(strain, unit + z)
     energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
     stress = _stress(law, strain, state, p)
     updated = _updated_state(law, strain, state, p)
@@ -194,8 +180,7 @@ def respond(
 
     if not law.plane_stress:
         return Response(stress, energy, updated, change)
-    flat = condensed(change, finite=finite)
-    return Response(in_plane(stress), energy, updated, flat, equation, root, start)
+    return Response(in_plane(stress), energy, updated, condensed(change), equation, root, start)
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -238,10 +223,9 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
-        elastic = elastic - state[PLASTIC]
-    stress, moduli = (_call(law, "elastic_stress", (3, 3), e, p) for e in (elastic, NORMAL))
+        strain = strain - state[PLASTIC]
+    stress, moduli = (_call(law, "elastic_stress", (3, 3), e, p) for e in (strain, NORMAL))
     return -stress[2, 2] / moduli[2, 2]
 
 
@@ -330,19 +314,19 @@ class PointValues:
 
 
 def values_at_points(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
 ) -> PointValues:
     """Values of a law of arrays at q points; a ValueError for a wrong form, name or shape.
 
-    Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,).
+    Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,) by name.
     """
-    z, finite = None, law.strain == "finite"
+    z, unit = None, 1.0 if law.strain == "finite" else 0.0
     if law.plane_stress:
         z = _normal_at_points(law, strain, state, p)
-        strain = _flat(strain, 1.0 + z if finite else z)
+        strain = _flat(strain, unit + z)
     found = _updated(law, strain, state, p)
-    if finite and law.energy is not None:
-        psi = _call(law, "energy", (len(strain),), strain, state, p)
+    if unit and law.energy is not None:
+        psi = _call(law, "energy", (len(strain),), strain, state, grouped(p))
         found = dataclasses.replace(found, energy=psi)
     return found if z is None else _condensed(found, z)
 
@@ -354,15 +338,15 @@ def _flat(strain: Floats, normal: Floats) -> Floats:
 
 
 def _normal_at_points(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
 ) -> Floats:
     """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
-    finite, parameters = law.strain == "finite", ungrouped(p)
+    finite = law.strain == "finite"
 
     def equation(points: Ints, z: Floats) -> Floats:
         some = _flat(strain[points], 1.0 + z[:, 0] if finite else z[:, 0])
-        here = ({n: v[points] for n, v in values.items()} for values in (state, parameters))
-        found = _updated(law, some, next(here), grouped(next(here)))
+        here = ({n: v[points] for n, v in values.items()} for values in (state, p))
+        found = _updated(law, some, *here)
         return normal_equation(found.stress.reshape(-1, 9), found.tangent.reshape(-1, 81))
 
     return solve_normal_strain(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
@@ -387,10 +371,10 @@ def _condensed(found: PointValues, z: Floats) -> PointValues:
 
 
 def _updated(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
 ) -> PointValues:
     where, q = f"{law.name}.update", len(strain)
-    found = _guarded(law, "update", strain, state, p)
+    found = _guarded(law, "update", strain, state, grouped(p))
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"

@@ -4,6 +4,8 @@
 The stored shear is the tensor component (not the engineering strain), once.
 """
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 import ufl
@@ -98,3 +100,25 @@ def mean_of_shears(tangent: Floats) -> Floats:
 def upper_triangle(size: int) -> list[tuple[int, int]]:
     """Row and column of the upper triangle of a matrix, row by row."""
     return [(i, j) for i in range(size) for j in range(i, size)]
+
+
+def contract(
+    entries: Sequence[tuple[int, int]],
+    moduli: Callable[[int, int], Expr],
+    direction: Expr,
+    *,
+    symmetric: bool,
+) -> Expr:
+    """Return C : direction with C_ab = moduli(a, b) for a <= b, of entries a, b of 3x3 tensors.
+
+    A `symmetric` tensor has each of its entries below the diagonal, too.
+    """
+    rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
+    for a, (i, j) in enumerate(entries):
+        terms = []
+        for b, (k, m) in enumerate(entries):
+            times = 2 if symmetric and k != m else 1
+            terms.append(moduli(min(a, b), max(a, b)) * times * direction[k, m])
+        rows[i][j] = sum(terms)
+        rows[j][i] = rows[i][j] if symmetric else rows[j][i]
+    return ufl.as_tensor(rows)

@@ -8,10 +8,7 @@ facets in the plane.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
-
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -27,9 +24,7 @@ from dolfinx_mortar.mortar.surface import (
     Boundary,
     Surface,
     accumulate,
-    add_at_nodes,
     coordinates,
-    create_sums,
     facets_at,
     marks,
     means_at_nodes,
@@ -47,12 +42,10 @@ class Spreads:
 
     V: fem.FunctionSpace
     nodes: Ints  # (s,) local nodes, ascending
-    sums: PETSc.Vec  # work vector of `accumulate`
     S: Floats  # (s, d, d) S + eps I at X
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
     turned: Longs  # nodes with a spread
     boundary: Boundary  # facets around these
-    places: Ints  # (m, k) of their nodes in `nodes`, or len(nodes)
     gradients: Floats  # (m, k, d) of N at facets' centres at X
     normals: Floats  # (m, d) at these
 
@@ -64,11 +57,9 @@ class Spreads:
         facets = self.boundary.at(u)
         F = np.swapaxes(facets.x, 1, 2) @ self.gradients
         F += facet_normals(facets)[:, :, None] * self.normals[:, None]
-        sums = np.zeros((len(S) + 1, d * d))
-        F = F.reshape(len(F), 1, d * d).repeat(self.places.shape[1], axis=1)
-        add_at_nodes(sums, self.places, F)
-        mean = accumulate(self, sums[:-1])[self.turned].reshape(-1, d, d)
-        R = _rotations(_with_images(mean, self.mirrors[self.nodes[self.turned]]))
+        turned = self.nodes[self.turned]
+        mean = means_at_nodes(self.V, self.boundary.nodes, F.reshape(len(F), d * d))[turned]
+        R = _rotations(_with_images(mean.reshape(-1, d, d), self.mirrors[turned]))
         S[self.turned] = R @ S[self.turned] @ np.swapaxes(R, 1, 2)
         return S
 
@@ -105,18 +96,16 @@ def find_spreads(
     if V.element.basix_element.degree > 1:
         of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
         S += means_at_nodes(V, between, of_facets).reshape(S.shape)
-    nodes, _, sums = create_sums(V, np.flatnonzero(of_contacts).astype(np.int32))
+    nodes = np.flatnonzero(of_contacts).astype(np.int32)
     S = _with_images(S, mirrors)[nodes]
     turned = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > HALF_OF_DIGITS)
-    position: Ints = np.full(len(of_contacts), len(nodes), dtype=np.int32)
-    position[nodes] = np.arange(len(nodes))
-    near = np.isin(position[boundary.nodes], turned).any(axis=1)
+    near = np.isin(boundary.nodes, nodes[turned]).any(axis=1)
     around = boundary[np.flatnonzero(near)]
-    at = position[around.nodes]
     S += blur[nodes, None, None] * np.eye(S.shape[1])
-    middle = np.broadcast_to(around.facets.element.points.mean(axis=0), (len(at), S.shape[1] - 1))
-    slopes = surface_gradients(around.facets, np.arange(len(at), dtype=np.int32), middle)
-    return Spreads(V, nodes, sums, S, mirrors, turned, around, at, *slopes)
+    every = np.arange(len(around.nodes), dtype=np.int32)
+    middle = around.facets.element.points.mean(axis=0)[None].repeat(len(every), axis=0)
+    slopes = surface_gradients(around.facets, every, middle)
+    return Spreads(V, nodes, S, mirrors, turned, around, *slopes)
 
 
 def _with_images(S: Floats, mirrors: Bools) -> Floats:
@@ -152,21 +141,8 @@ class CommonNormals:
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned master nodes
     below_edges: Bools  # (n,) coupled to an edge of the master, not on one
-    differentiate: Callable[[], tuple[Floats, Floats]]  # -> by_slave, by_master
-
-    @cached_property
-    def _derivatives(self) -> tuple[Floats, Floats]:
-        return self.differentiate()
-
-    @property
-    def by_slave(self) -> Floats:
-        """Derivatives (n, d, d) by the averaged normal of the node."""
-        return self._derivatives[0]
-
-    @property
-    def by_master(self) -> Floats:
-        """Derivatives (n, d, d) by sum_l M_jl n_l."""
-        return self._derivatives[1]
+    # -> derivatives (n, d, d) by the averaged normal of the node, and by sum_l M_jl n_l
+    differentiate: Callable[[], tuple[Floats, Floats]]
 
     def everywhere(self, slave: Surface) -> Floats:
         """Normals at all local slave nodes (n, d); collective."""

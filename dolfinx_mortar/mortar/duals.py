@@ -40,9 +40,9 @@ from dolfinx_mortar.mortar.integrals import (
     SUMS,
     Integrated,
     add,
-    covered_weights,
     integrate_values,
     product,
+    sums_of_values,
 )
 from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
 
@@ -211,9 +211,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
         slave: (q,) facet of each point, ascending.
         kept: (m, k) nodes with a multiplier.
     """
-    columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
-    at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
-    Phi, inverse = _all_duals(columns, weight, *at)
+    Phi, inverse = _all_duals(np.ascontiguousarray(N.T), weight, slave, kept)
     return Duals(np.asarray(Phi.T), kept, inverse)
 
 
@@ -227,7 +225,8 @@ def node_weights(
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
-    covered = covered_weights(segments.N, segments.weight, segments.slave, len(slave.facets))
+    at = segments.weight, segments.slave, len(slave.facets)
+    covered = sums_of_values(segments.N, *at)
     covered, whole = (absorbed(shares, v, kept) for v in (covered, segments.facet_weights))
     both = sum_at_nodes(slave, np.stack([covered, whole], axis=2))
     return both[:, 0], both[:, 1]

@@ -89,22 +89,11 @@ def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Float
     return sums
 
 
-@numba.njit(cache=True)
+@numba.njit(**SUMS)
 def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
     for i in range(len(Phi)):
         for q in range(len(where)):
             sums[where[q], i] += Phi[i, q] * values[q]
-
-
-def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
-    """Integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
-
-    Example:
-        >>> covered_weights(np.array([[0.75, 0.25]]), np.array([1.0]), np.array([1]), 2)
-        array([[0.  , 0.  ],
-               [0.75, 0.25]])
-    """
-    return sums_of_products(weight[:, None], N_s, slave, m)[:, 0]
 
 
 class Integrated(Protocol):
@@ -136,7 +125,7 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
-    count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
+    count, N = len(facets.x), (segments.N, master.element.shape_functions(segments.xi_m))
     at = facets.x, master.x, facet_normals(facets), facet_normals(master), on, segments.master
     gap, least, sums = np.empty(len(on)), np.full(count, np.inf), np.zeros((count, 2))
     _measure(gap, least, sums, *N, *at, w)
@@ -148,17 +137,6 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     # complete segments, with tiny weights at some points
     segments = replace(segments, weight=w * np.clip(part, EPS, 1.0), reach=reach)
     return some_points(segments, some[segments.pair])
-
-
-def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
-    """Gap above which weights fall, and the slope; collective."""
-    nearest = np.full(len(slave.nodes), -np.inf)
-    np.maximum.at(nearest, slave.facets, -least[:, None])
-    least = -accumulate(slave, nearest, largest=True)[slave.facets].max(axis=1, initial=-np.inf)
-    around = sum_at_nodes(slave, sums[:, None].repeat(slave.facets.shape[1], axis=1))
-    rise, length = np.moveaxis(around[slave.facets].sum(axis=1), 1, 0)
-    room = np.minimum(1.5, 8.0 * rise / np.maximum(length, TINY))
-    return np.stack([least + room * size, 1.0 / (np.maximum(room, _FALL) * size)], axis=1)
 
 
 @numba.njit(cache=True)
@@ -179,6 +157,17 @@ def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weig
         sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
         sums[s, 0] += weight[q] * sine / max(abs(cosine), EPS)
         sums[s, 1] += weight[q]
+
+
+def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
+    """Gap above which weights fall, and the slope; collective."""
+    nearest = np.full(len(slave.nodes), -np.inf)
+    np.maximum.at(nearest, slave.facets, -least[:, None])
+    least = -accumulate(slave, nearest, largest=True)[slave.facets].max(axis=1, initial=-np.inf)
+    around = sum_at_nodes(slave, sums[:, None].repeat(slave.facets.shape[1], axis=1))
+    rise, length = np.moveaxis(around[slave.facets].sum(axis=1), 1, 0)
+    room = np.minimum(1.5, 8.0 * rise / np.maximum(length, TINY))
+    return np.stack([least + room * size, 1.0 / (np.maximum(room, _FALL) * size)], axis=1)
 
 
 def point_distances(

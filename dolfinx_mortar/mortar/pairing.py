@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from dolfinx_mortar.geometry.segments import (
     find_candidates,
     projection_directions,
     sliding_margins,
-    sort_in_space,
 )
 from dolfinx_mortar.mortar.self_contact import Roles, divide, has_changed
 from dolfinx_mortar.mortar.surface import (
@@ -73,11 +71,6 @@ class Pairing:
     diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface in self-contact
-
-    @cached_property
-    def order(self) -> Longs:
-        """Received master facets (mm,), sorted in space at X."""
-        return sort_in_space(self.master_X[self.master_facets].mean(axis=1))
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
@@ -263,7 +256,7 @@ def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
     slave, n_s = _slave_facets(pairing.slave, u)
     master = received_facets(pairing, u)
     none, count = np.zeros(len(slave.x)), len(master.x)
-    pairs = find_candidates(slave, n_s, master, none, pairing.order)
+    pairs = find_candidates(slave, n_s, master, none)
     if pairing.roles is not None:
         missing = has_changed(pairing.roles, slave, master, pairs)
     else:

@@ -80,14 +80,11 @@ class SeenByTool:
         space, and the tool about its point, which moves straight.
         """
         if not self.turns_round(body):
-            steady = times_of([seen])
+            steady = times_of(seen.angle())
             return lambda a, b: list(path(seen, steady, self.at(0.0, a), self.at(1.0, b)))
-        most = body.angle() + np.degrees(np.linalg.norm(self.turn))
-        count = int(np.ceil(most / TURN))
-        times = [k / count for k in range(count + 1)]
+        times = times_of(body.angle() + float(np.degrees(np.linalg.norm(self.turn))))
         return lambda a, b: [
-            self.at(t, np.asarray(x))
-            for t, x in zip(times, path(body, np.array(times), a, b), strict=True)
+            self.at(t, np.asarray(x)) for t, x in zip(times, path(body, times, a, b), strict=True)
         ]
 
 
@@ -136,7 +133,7 @@ def _passed(
     frame = best_motion(rigid_sums(*((x - origin).reshape(-1, d) for x in (start, end))))
     sums = rigid_sums(*((f.x - origin).reshape(-1, d) for f in facets))
     motion = best_motion(comm.allreduce(sums, op=MPI.SUM)).seen_from(frame)
-    times = times_of([motion])
+    times = times_of(motion.angle())
     ways = path(motion, times, start_at - origin, frame.back(end_at - origin))
     back = frame.back(end - origin)
     others = [(1.0 - t) * (start - origin) + t * back for t in times]
@@ -146,15 +143,10 @@ def _passed(
     ]
     passed = np.unique(np.concatenate(found))
     if comm.allreduce(len(passed), op=MPI.SUM):
-        skin = np.concatenate(comm.allgather(flat_parts(facets[0])))
-        passed = np.setdiff1d(passed, _outside(faces, start_at, skin))
+        # not those that have left their own body as it bends
+        inward = np.concatenate(comm.allgather(flat_parts(facets[0])))[:, ::-1]
+        passed = np.setdiff1d(passed, find_passing((faces, start_at), (inward, inward)))
     return _first(side, other, faces, passed)
-
-
-def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Middles (q,) that have left their body as it bends, ascending."""
-    inward = skin[:, ::-1]
-    return find_passing((faces, middles), (inward, inward))
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
@@ -340,10 +332,9 @@ def best_motion(sums: Floats) -> RigidMotion:
     return RigidMotion(R, end - R @ start)
 
 
-def times_of(motions: list[RigidMotion]) -> Floats:
-    """Times between which no motion turns by more than `TURN`."""
-    most = max((motion.angle() for motion in motions), default=0.0)
-    return np.asarray(np.linspace(0.0, 1.0, max(int(np.ceil(most / TURN)), 1) + 1), dtype=float)
+def times_of(angle: float) -> Floats:
+    """Times between which a rotation by an angle in degrees is less than `TURN`."""
+    return np.asarray(np.linspace(0.0, 1.0, max(int(np.ceil(angle / TURN)), 1) + 1), dtype=float)
 
 
 def path(motion: RigidMotion, times: Floats, start: Floats, end: Floats) -> Floats:

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,7 +16,7 @@ import basix
 import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -26,29 +26,16 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     normals_at_nodes,
     scaled_normals,
-    surface_gradients,
 )
 from dolfinx_mortar.geometry.flat import thickness
-from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, sort_in_space
+from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, groups_in_space
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.spaces import check_space, connected_parts
-from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
+from dolfinx_mortar.tags import check_entities, label, labels, tag_of
 
 _MOST_WARPED = 0.3
 """Least quality of facets, see `distortions`: the cosine between the normal at a corner and the
 mean normal, along which the facet is projected. At 0.3 areas are divided by more than three."""
-
-
-class Nodes(Protocol):
-    """Local nodes; each is also among the nodes of its owner."""
-
-    @property
-    def V(self) -> dolfinx.fem.FunctionSpace:
-        """Displacement space."""
-
-    @property
-    def sums(self) -> PETSc.Vec:
-        """One entry per node, ghosted: work vector of `accumulate`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +100,6 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
-    check_tag(name, tag)
     if not compat.on_same_mesh(facet_tags, V.mesh):
         raise ValueError(
             f"facet_tags ({name}={label(facet_tags, tag)}) belong to another mesh than V."
@@ -178,7 +164,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
     return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
 
 
-def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
+def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
     """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
     owned = np.flatnonzero(marks(index_map, nodes)[: index_map.size_local])
@@ -221,12 +207,12 @@ def create_surface(
     """
     check_space(V)
     element = _element(V)
-    value: int = tag_of(facet_tags, tag, name)
+    value = tag_of(facet_tags, tag, name)
     entities = _marked_facets(V, facet_tags, value, name)
     nodes_of, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes_of = _order_outwards(X, nodes_of, cells, V)
-    nodes, owned, sums = create_sums(V, np.unique(nodes_of))
+    nodes, owned, sums = _create_sums(V, np.unique(nodes_of))
     called = label(facet_tags, value)
     facets = Facets(element, X[nodes_of])
     _check_shapes(facets, V.mesh.comm, f"{name}={called}")
@@ -336,7 +322,7 @@ def cells_of(surface: Surface) -> Ints:
     return facet_nodes(surface.V, surface.entities)[1]
 
 
-def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
+def accumulate(surface: Surface, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
     """Sums over ranks of nodal values (n,) or (n, c), or maxima, also at ghosts (collective)."""
     mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
     result = np.array(values, dtype=float)
@@ -416,60 +402,6 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
     return nodal_means(surface, sagitta[:, None])[:, 0]
 
 
-def normal_derivatives(surface: Surface, x: Floats) -> Floats:
-    """Terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
-
-    [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
-    G_l (n_f.dx_l), with surface gradients G_l at node j and S = sum_f n_f.
-    """
-    facets = facets_at(surface, x)
-    at_nodes = normals_at_nodes(facets)
-    total = sum_at_nodes(surface, at_nodes)
-    size = np.linalg.norm(total, axis=1)
-    n = total / np.maximum(size, TINY)[:, None]
-    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(x.shape[1]), 0.0)
-    across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
-    gradients = _gradients_at_nodes(facets)
-    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
-    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
-
-
-def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Surface gradients [f, j, l] of N_l at node j."""
-    element, (m, k, d) = facets.element, facets.x.shape
-    points = element.points
-    if element.degree == 1:  # the mean normal is that at the centre
-        points = np.broadcast_to(points.mean(axis=0), points.shape)
-    which = np.repeat(np.arange(m, dtype=np.int32), k)
-    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
-    return gradients.reshape(m, k, k, d)
-
-
-def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
-    """Coefficients W (m, k, k), by which tangential v_j (n, d) move with the surface; collective.
-
-    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j: the mean of F_f
-    a_j with the deformation gradients F_f = sum_l x_l grad N_l^T. Zero where n_j is, or without a
-    common tangent.
-    """
-    facets, d = facets_at(surface, x), x.shape[1]
-    n_f = normals_at_nodes(facets)
-    tangents = np.eye(d) - n_f[:, :, :, None] * n_f[:, :, None]
-    one = np.ones((*surface.facets.shape, 1))
-    columns = np.concatenate([tangents.reshape(*surface.facets.shape, d * d), one], axis=2)
-    total = sum_at_nodes(surface, columns)
-    count = np.maximum(total[:, -1], 1.0)
-    mean = total[:, :-1].reshape(-1, d, d) / count[:, None, None]
-    along = n[:, :, None] * n[:, None]
-    across = np.eye(d) - along
-    whole = across @ mean @ across + along
-    some = (np.linalg.det(whole) > HALF_OF_DIGITS) & n.any(axis=1)
-    whole[~some] = np.eye(d)
-    a = np.where(some[:, None], np.linalg.solve(whole, vectors[:, :, None])[:, :, 0], 0.0)
-    a /= count[:, None]
-    return np.einsum("mjld,mjd->mjl", _gradients_at_nodes(facets), a[surface.facets])
-
-
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
@@ -504,9 +436,7 @@ def find_receivers(
 
     For projections of facets x (m, k, d) along directions (m, k', d), bounded in compact groups.
     """
-    order, size = sort_in_space(x.mean(axis=1)), 1
-    while size**2 < len(x):  # powers of 2: groups are compact
-        size *= 2
+    order, size = groups_in_space(x.mean(axis=1))
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
     for group in (order[first : first + size] for first in range(0, len(x), size)):
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))

@@ -16,18 +16,25 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Blocks
-from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry import area, line
+from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry import line
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.curvature import height_table, node_pairs
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sides, Sums, whole
+from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes, surface_gradients
+from dolfinx_mortar.geometry.moments import Sides, Sums, moments_in_space, whole
 from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.curvature_correction import Curved, SmoothSide, find_curved
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
-from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    coordinates,
+    facets_at,
+    nodal_normals,
+    sum_at_nodes,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,25 +103,15 @@ def _differentiate(
             np.asarray(np.tensordot(v, t, 1), np.float64)
             for v, t in zip(surfaces[:2], surfaces.tables, strict=True)
         )
-    heights, moved = (Q_s, Q_m, surfaces.arcs), surfaces.slopes.size > 0
-    sums = _sums(sides, heights, types, (c * moved - lengths, lengths))
+    moved, p, m = surfaces.slopes.size > 0, len(sides.x), sides.y.shape[1]
+    E_s, E_m = (np.zeros((c * moved - lengths, k, v, v)) for v in (k, l))
+    z, n = others + d * m, k + m + 1
+    sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((lengths, k, 2)))
+    find = line.moments if d == 2 else moments_in_space
+    find(sides, (Q_s, Q_m, surfaces.arcs), types, sums)
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
     return apply(sums.values, sums.changes, basis, fixed, sides.x, sides.y, others)
-
-
-def _sums(
-    sides: Sides,
-    heights: tuple[Floats, Floats, Floats],
-    types: tuple[FacetElement, FacetElement],
-    counts: tuple[int, int],
-) -> Sums:
-    (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
-    z, n = d * (k + sides.n.shape[1] + m), k + m + 1
-    E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
-    sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((counts[1], k, 2)))
-    (line if d == 2 else area).moments(sides, heights, types, sums)
-    return sums
 
 
 def differentiate_whole(
@@ -185,7 +182,9 @@ def differentiate(
         kept = duals.kept[s]
         basis = Basis(absorbing(slave.element.shares, kept), duals.inverse[s], kept)
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
-        found = _differentiate(sides, _some(surfaces, group.pairs), types, basis, fixed)
+        c_s, c_m, arcs, slopes = (v[group.pairs] for v in surfaces[:4])
+        some = surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs, slopes=slopes)
+        found = _differentiate(sides, some, types, basis, fixed)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
 
@@ -229,11 +228,6 @@ def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
     by_nodes[:, range(count), b] = by_e
     by_nodes[:, range(count), a] -= by_e
     return by_nodes, by_others
-
-
-def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
-    c_s, c_m, arcs, slopes = (v[pairs] for v in surfaces[:4])
-    return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs, slopes=slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,3 +370,57 @@ def apply(
     F = (by_C + (c @ C)[:, None] @ changes)[..., :-1]
     F[..., k:] *= -1.0
     return Results(F.transpose(0, 3, 2, 1), G, moved[..., d:-1].transpose(0, 2, 3, 1), D, M)
+
+
+def normal_derivatives(surface: Surface, x: Floats) -> Floats:
+    """Terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
+
+    [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
+    G_l (n_f.dx_l), with surface gradients G_l at node j and S = sum_f n_f.
+    """
+    facets = facets_at(surface, x)
+    at_nodes = normals_at_nodes(facets)
+    total = sum_at_nodes(surface, at_nodes)
+    size = np.linalg.norm(total, axis=1)
+    n = total / np.maximum(size, TINY)[:, None]
+    across = np.where((size > 8 * ROUND_OFF)[:, None, None], np.eye(x.shape[1]), 0.0)
+    across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
+    gradients = _gradients_at_nodes(facets)
+    turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
+    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
+
+
+def _gradients_at_nodes(facets: Facets) -> Floats:
+    """Surface gradients [f, j, l] of N_l at node j."""
+    element, (m, k, d) = facets.element, facets.x.shape
+    points = element.points
+    if element.degree == 1:  # the mean normal is that at the centre
+        points = np.broadcast_to(points.mean(axis=0), points.shape)
+    which = np.repeat(np.arange(m, dtype=np.int32), k)
+    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
+    return gradients.reshape(m, k, k, d)
+
+
+def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
+    """Coefficients W (m, k, k), by which tangential v_j (n, d) move with the surface; collective.
+
+    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j: the mean of F_f
+    a_j with the deformation gradients F_f = sum_l x_l grad N_l^T. Zero where n_j is, or without a
+    common tangent.
+    """
+    facets, d = facets_at(surface, x), x.shape[1]
+    n_f = normals_at_nodes(facets)
+    tangents = np.eye(d) - n_f[:, :, :, None] * n_f[:, :, None]
+    one = np.ones((*surface.facets.shape, 1))
+    columns = np.concatenate([tangents.reshape(*surface.facets.shape, d * d), one], axis=2)
+    total = sum_at_nodes(surface, columns)
+    count = np.maximum(total[:, -1], 1.0)
+    mean = total[:, :-1].reshape(-1, d, d) / count[:, None, None]
+    along = n[:, :, None] * n[:, None]
+    across = np.eye(d) - along
+    whole = across @ mean @ across + along
+    some = (np.linalg.det(whole) > HALF_OF_DIGITS) & n.any(axis=1)
+    whole[~some] = np.eye(d)
+    a = np.where(some[:, None], np.linalg.solve(whole, vectors[:, :, None])[:, :, 0], 0.0)
+    a /= count[:, None]
+    return np.einsum("mjld,mjd->mjl", _gradients_at_nodes(facets), a[surface.facets])

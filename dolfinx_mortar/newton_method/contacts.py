@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Active set and multipliers of an iterate, warm start of the next QP, and its KKT residuals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -13,7 +13,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation, find_extent
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
@@ -134,33 +133,15 @@ def find_sliders(
 
 
 def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Contact forces (n,) on both sides; collective."""
-    total = normal_forces(problem, contacts)
-    if contacts.tangential is not None:
-        total = total + tangential_forces(problem, contacts)
-    return total.ravel()
-
-
-def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Forces B^T lambda (owned nodes, d) of the contacts; collective."""
-    return _on_both_sides(
-        problem, lambda link: contacts.multipliers[link.nodes, None] * link.coupling.normals
-    )
-
-
-def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Same of friction; collective."""
-    tangential = contacts.tangential
-    if tangential is None:
-        return np.zeros((problem.n, problem.d))
-    return _on_both_sides(problem, lambda link: tangential[link.nodes])
-
-
-def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
-    total: Floats = np.zeros((problem.n, problem.d))
+    """Normal and tangential forces (2, owned nodes, d) on both sides; collective."""
+    total: Floats = np.zeros((2, problem.n, problem.d))
     for link in problem.system.unilateral:
-        slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))
-        total += slave + master
+        tractions = [contacts.multipliers[link.nodes, None] * link.coupling.normals]
+        if contacts.tangential is not None:
+            tractions.append(contacts.tangential[link.nodes])
+        for k, traction in enumerate(tractions):
+            slave, master = link.exert(link.coupling.weight[:, :1] * traction)
+            total[k] += slave + master
     return total
 
 

@@ -5,11 +5,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.mortar.passing import (
-    Middles,
     Passing,
     find_middles,
     find_passed,
@@ -18,6 +16,7 @@ from dolfinx_mortar.mortar.passing import (
 )
 from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
 from dolfinx_mortar.terms.loads import Pressure
@@ -62,14 +61,14 @@ WITHOUT_EFFECT = (
     "slave node has a multiplier, so that the contact has no effect; let the other side be the "
     "slave"
 )
-HARDEN = "or give the law hardening"
-NO_POTENTIAL = "has no potential, so that steps are whole, without a line search, or fail: take "
-NO_POTENTIAL += "smaller load steps"
-CLOSED = "closed=True of a Pressure holds where the surface is closed, or its edges are held or "
-CLOSED += (
-    "slide in planes through the origin, with a uniform p: say it there, and elsewhere leave it "
+NO_POTENTIAL = (
+    "has no potential, so that steps are whole, without a line search, or fail: take smaller load "
+    "steps"
 )
-CLOSED += "out"
+CLOSED = (
+    "closed=True of a Pressure holds where the surface is closed, or its edges are held or slide "
+    "in planes through the origin, with a uniform p: say it there, and elsewhere leave it out"
+)
 # Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
 # of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum.
 BY_THEMSELVES = (
@@ -103,37 +102,53 @@ def explain(
         seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
     elif problem.system.unilateral and not why[0]:
         why = [CORNERS]
-    flowing, squeezed = _look_at(problem, at)
-    if flowing:  # solvers report a singular matrix as a free body
-        report.notes.append(seen)
-        seen, least = flowing, "reduce the load" if is_loaded(problem) else "take smaller steps"
-        why = [f"Without hardening a law carries no more than its limit load: {least}, {HARDEN}"]
-    elif held := problem.held_by_contact():
-        seen += f"; contact alone holds {'; '.join(held)}"
-        if problem.system.has_friction:
-            why.append(TOO_MUCH[is_loaded(problem)])
-        why.append(MOVES_AWAY)
-    inverted = bool(squeezed) or "inside out" in seen
-    shifted, count = sum(it.shift > 0.0 for it in report.iterations), len(report.iterations)
-    if 2 * shifted > count and (not inverted or is_loaded(problem)):
-        seen += f"; the tangent was indefinite in {shifted} of {count} iterations"
-        why += [UNSTABLE[is_loaded(problem)], describe_cells(problem)]
-    if squeezed and "inside out" not in seen:
-        seen += f"; where it ended, {squeezed}"
-        why.append("Take smaller load steps, or compress it less")
-    return failed(problem, report, seen, *why, *_pressures(problem), _own_laws(problem))
-
-
-def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
+    loaded, finite = is_loaded(problem), problem.solid.strain == "finite"
     before, shown = problem.u.x.array.copy(), problem.solid.points.keep()
     try:
-        problem.u.x.array[:] = u
+        problem.u.x.array[:] = at
         flowing = _flow(problem)
-        finite = problem.solid.strain == "finite"
-        return flowing, problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
+        squeezed = problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
     finally:
         problem.u.x.array[:] = before
         problem.solid.points.put_back(shown)
+    if flowing:  # solvers report a singular matrix as a free body
+        report.notes.append(seen)
+        least = "reduce the load" if loaded else "take smaller steps"
+        seen, why = flowing, ["Without hardening a law carries no more than its limit load: "]
+        why[0] += f"{least}, or give the law hardening"
+    elif held := problem.held_by_contact():
+        seen += f"; contact alone holds {'; '.join(held)}"
+        if problem.system.has_friction:
+            why.append(TOO_MUCH[loaded])
+        why.append(MOVES_AWAY)
+    inverted = bool(squeezed) or "inside out" in seen
+    shifted, count = sum(it.shift > 0.0 for it in report.iterations), len(report.iterations)
+    if 2 * shifted > count and (not inverted or loaded):
+        seen += f"; the tangent was indefinite in {shifted} of {count} iterations"
+        why += [UNSTABLE[loaded], describe_cells(problem)]
+    if squeezed and "inside out" not in seen:
+        seen += f"; where it ended, {squeezed}"
+        why.append("Take smaller load steps, or compress it less")
+    return failed(problem, report, seen, *why, *_hints_on_terms_and_laws(problem))
+
+
+def _hints_on_terms_and_laws(problem: ContactProblem) -> list[str]:
+    hints = [
+        f"{name}, {NO_POTENTIAL}"
+        for name, term in problem.terms.named
+        if isinstance(term, Pressure) and not term.has_potential(~problem.supports.owned)
+    ]
+    if hints and not problem.solid.kinematics.plane_stress:
+        hints.append(CLOSED)
+    package = __name__.partition(".")[0]
+    kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
+    own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
+    if own:
+        hints.append(
+            f"{', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
+            "convex and its tangent the derivative of its stress"
+        )
+    return hints
 
 
 def describe_cells(problem: ContactProblem) -> str:
@@ -146,27 +161,6 @@ def is_loaded(problem: ContactProblem) -> bool:
     """Whether terms or tool loads act; collective."""
     driven = any(link.interface.driven() is not None for link in problem.system.links)
     return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
-
-
-def _pressures(problem: ContactProblem) -> list[str]:
-    free = ~problem.supports.owned
-    told = [
-        f"{name}, {NO_POTENTIAL}"
-        for name, term in problem.terms.named
-        if isinstance(term, Pressure) and not term.has_potential(free)
-    ]
-    return [*told, CLOSED] if told and not problem.solid.kinematics.plane_stress else told
-
-
-def _own_laws(problem: ContactProblem) -> str:
-    package = __name__.partition(".")[0]
-    kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
-    own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
-    told = (
-        f"{', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
-        "convex and its tangent the derivative of its stress"
-    )
-    return told if own else ""
 
 
 def _flow(problem: ContactProblem) -> str:
@@ -202,21 +196,23 @@ def describe_passing(problem: ContactProblem) -> str:
     """
     d, n, system = problem.d, problem.n, problem.system
     before, now = problem.committed.displacement, problem.u.x.array[: d * n]
-    began: fem.Function | None = None
     if system.middles is None:
-        system.middles = _find_middles(problem)
-    for interface, middles, sides in zip(
-        system.interfaces, system.middles, system.sides, strict=True
-    ):
+        body_of, skin = problem.bodies.of_cells, system.boundary
+        system.middles = [
+            tuple(
+                find_middles(s, body_of[cells_of(s)], skin.facets, body_of[skin.cells])
+                for s in surfaces
+            )
+            for surfaces in system.opposite
+        ]
+    columns = system.interfaces, system.middles, system.sides
+    for interface, middles, sides in zip(*columns, strict=True):
         if not middles:
             continue
         tool, (side, *other) = interface.tool, middles
         if other and not is_far(side, other[0], before.reshape(n, d), now.reshape(n, d)):
             continue
-        if began is None:
-            began = fem.Function(problem.V)
-            began.x.array[: d * n] = before
-            began.x.scatter_forward()
+        began = with_values(problem.V, before)
         if tool is None:
             found = find_passed(side, other[0], began, problem.u)
         else:
@@ -238,26 +234,9 @@ def _describe(found: Passing, master: bool) -> str:
         )
     who, into = "the side has passed through the tool", "tool"
     if found.surface is not None:
-        who, into = (
-            f"the {'master' if master else 'slave'} side has passed through the other one",
-            "other body",
-        )
+        side, into = "master" if master else "slave", "other body"
+        who = f"the {side} side has passed through the other one"
     return (
         f"{who}, at {found.count} facets, such as the one that began around {at}; no step may "
         f"bring the middle of the body, {found.depth:.3g} behind that facet, into the {into}"
     )
-
-
-def _find_middles(problem: ContactProblem) -> list[tuple[Middles, ...]]:
-    if not any(problem.system.opposite):
-        return [()] * len(problem.interfaces)
-    body_of = problem.bodies.of_cells
-    found = []
-    boundary = problem.system.boundary
-    for surfaces in problem.system.opposite:
-        parts = [
-            find_middles(s, body_of[cells_of(s)], boundary.facets, body_of[boundary.cells])
-            for s in surfaces
-        ]
-        found.append(tuple(parts))
-    return found

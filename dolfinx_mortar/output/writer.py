@@ -8,7 +8,6 @@ import logging
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -21,8 +20,8 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.materials.tensor import COMPONENTS
-from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert
+from dolfinx_mortar.materials.tensor import tensor_of
+from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert, new_step
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 log = logging.getLogger(__name__)
@@ -102,8 +101,6 @@ class Writer:
                     if self.comm.rank == 0:
                         beside = self.path.with_suffix(".tools.xdmf")
                         self._tools = _ToolFile(MPI.COMM_SELF, beside, notes, resume=resume)
-                        with self._tools.numbers("w"):
-                            pass
         except BaseException:
             self._leave()
             raise
@@ -125,11 +122,10 @@ class Writer:
         file, fields, tools = self._file, self.problem.output_fields(), self._find_tools()
         V: fem.FunctionSpace = self.problem.solid.V
         number = sum(not step.earlier for step in file.steps)
-        grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
             check("t", t, NUMBER, "give the time or load of the step, a finite number")
             done, brought = getattr(self.problem, "steps_done", (0, 0))
-            step = Step(grid, done, float(t), self._mesh)
+            step = new_step(done, float(t), self._mesh)
             steps = insert(file.steps, step, made=done > brought)
             keys = field_keys(fields)
             for name, f in fields.items():
@@ -137,7 +133,6 @@ class Writer:
                     raise ValueError(
                         f"output field {name!r} is on another mesh than the displacement."
                     )
-        step.begin(steps.index(step))
         found = {name: _values(V, f) for name, f in fields.items()}
         bad = np.array([np.sum(~np.isfinite(values)) for values, _ in found.values()])
         for name, count in zip(found, self.comm.allreduce(bad), strict=True):
@@ -146,14 +141,14 @@ class Writer:
                     f"output field {name!r}: {count} values are NaN or infinite, and the step is "
                     "not written; check what they come from."
                 )
-        grid.extend(self._grid_head)
-        size = sum(values.nbytes for values, _ in found.values())
-        with file.numbers("a", size, len(found)) as viewer:
-            for name, (values, centre) in found.items():
-                kind = KINDS.get(values.shape[1], "Matrix")
-                about = {"Name": name, "AttributeType": kind, "Center": centre}
-                item = file.write(viewer, f"{keys[name]}_{number:06d}", values)
-                ET.SubElement(grid, "Attribute", about).append(item)
+        step.grid.extend(self._grid_head)
+        rows = []
+        for name, (values, centre) in found.items():
+            kind = KINDS.get(values.shape[1], "Matrix")
+            about = {"Name": name, "AttributeType": kind, "Center": centre}
+            element = ET.SubElement(step.grid, "Attribute", about)
+            rows.append((element, f"{keys[name]}_{number:06d}", values))
+        file.write(*rows)
         with raised_together(self.comm):
             if self._tools is not None:  # first: steps that the results lack are dropped
                 self._tools.write_step(steps, step, tools)
@@ -161,8 +156,7 @@ class Writer:
 
     def close(self) -> None:
         """End the writing: other writers may use the files; collective."""
-        self._leave()
-        self.comm.Barrier()
+        self.__exit__(None)
 
     def _leave(self) -> None:
         self._open = False
@@ -173,7 +167,7 @@ class Writer:
     def __enter__(self) -> Writer:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Close; without a barrier after an exception, which may be that of one rank."""
         self._leave()
         if kind is None:
@@ -193,8 +187,7 @@ class Writer:
         self._mesh = hashlib.sha256(every.encode()).hexdigest()
         for step in file.steps:
             if step.mesh == self._mesh:
-                with file.numbers("w"):
-                    return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
+                return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
         if file.steps and self.comm.rank == 0:
             log.warning(
                 "%s: nodes are numbered in another way than in its earlier steps, as on another "
@@ -205,10 +198,7 @@ class Writer:
         kind = V.mesh.topology.cell_name().capitalize() + ("" if linear else f"_{k}")
         head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(count))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
-        with file.numbers("w", cells.nbytes + x.nbytes, 2) as viewer:
-            head.append(file.write(viewer, "cells", cells))
-            geometry.append(file.write(viewer, "points", x))
-        return [head, geometry]
+        return file.write((head, "cells", cells), (geometry, "points", x))
 
 
 def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
@@ -227,24 +217,11 @@ def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
         rows[V.dofmap.list] = dofmap.list
         rows = rows[: V.dofmap.index_map.size_local]
     values = function.x.array.reshape(-1, dofmap.index_map_bs)[rows]
-    return _pad(values, shape), "Node" if own else "Cell"
-
-
-def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Pad vectors to three components and stored symmetric tensors to three by three.
-
-    >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()
-    [[1.0, 2.0, 0.0]]
-    >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (4,)).tolist()  # xx, yy, zz, xy
-    [[1.0, 4.0, 0.0, 4.0, 2.0, 0.0, 0.0, 0.0, 3.0]]
-    """
     if shape == (2,):
-        return np.pad(values, ((0, 0), (0, 1)))
-    for names in COMPONENTS.values():
-        if shape == (len(names),):
-            nine = [min(a + b, b + a) for a in "xyz" for b in "xyz"]
-            return values @ np.array([[float(own == name) for name in nine] for own in names])
-    return values
+        values = np.pad(values, ((0, 0), (0, 1)))
+    elif shape in ((4,), (6,)):
+        values = tensor_of(values).reshape(-1, 9)
+    return values, "Node" if own else "Cell"
 
 
 class _ToolFile(File):
@@ -277,20 +254,16 @@ class _ToolFile(File):
                 about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}
             topology = ET.Element("Topology", about)
             numbers = ET.Element("Attribute", Name="tool", AttributeType="Scalar", Center="Cell")
-            with self.numbers("a", cells.nbytes + of.nbytes, 2) as viewer:
-                topology.append(self.write(viewer, f"cells_{number:06d}", cells))
-                numbers.append(self.write(viewer, f"tool_{number:06d}", of[:, None]))
-            self.head = topology, numbers
+            self.head = self.write(
+                (topology, f"cells_{number:06d}", cells),
+                (numbers, f"tool_{number:06d}", of[:, None]),
+            )
         pairs = zip(self.points, tools, strict=True)
         x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
         x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
-        step = replace(new, grid=ET.Element("Grid", GridType="Uniform"), mesh="tools")
-        step.begin(steps.index(new))
+        step = new_step(new.done, new.time, "tools")
         geometry = ET.Element("Geometry", GeometryType="XYZ")
-        with self.numbers("a", x.nbytes, 1) as viewer:
-            geometry.append(self.write(viewer, f"points_{number:06d}", x))
-        topology, numbers = self.head
-        step.grid.extend([topology, geometry, numbers])
-        places = {(one.done, one.time) for one in steps} - {(new.done, new.time)}
-        kept = [one for one in self.steps if (one.done, one.time) in places]
-        self.replace(sorted([*kept, step], key=lambda one: one.time))
+        points = self.write((geometry, f"points_{number:06d}", x))
+        step.grid.extend([*self.head, *points])
+        own = {(one.done, one.time): one for one in [*self.steps, step]}
+        self.replace([own[at] for one in steps if (at := (one.done, one.time)) in own])

@@ -4,8 +4,7 @@
 import json
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -51,12 +50,14 @@ class Step:
         """Names of the files with its numbers."""
         return {str(item.text).partition(":")[0].strip() for item in self.grid.iter("DataItem")}
 
-    def begin(self, number: int) -> None:
-        """Store these data in the grid, for `_read`."""
-        self.grid.set("Name", f"step {number}")
-        ET.SubElement(self.grid, "Time", Value=repr(self.time))
-        for name, value in ((DONE, self.done), (MESH, self.mesh)):
-            ET.SubElement(self.grid, "Information", Name=name, Value=str(value))
+
+def new_step(done: int, time: float, digest: str) -> Step:
+    """A step whose grid has these data, for `_read`."""
+    grid = ET.Element("Grid", GridType="Uniform", Name=f"t = {time!r}")
+    ET.SubElement(grid, "Time", Value=repr(time))
+    for name, value in ((DONE, done), (MESH, digest)):
+        ET.SubElement(grid, "Information", Name=name, Value=str(value))
+    return Step(grid, done, time, digest)
 
 
 class File:
@@ -77,7 +78,7 @@ class File:
             ValueError: on all ranks, if rank 0 cannot create or resume them, another `File` has
                 them, or notes are neither text nor JSON.
         """
-        self.comm, self.path = comm, path
+        self.comm, self.path, self._mode = comm, path, "w"
         with raised_together(comm):
             self._root, self._collection = _create_tree(notes)
         steps: list[Step] = []
@@ -129,30 +130,34 @@ class File:
                     raise OSError(error.errno, error.strerror, str(self.path)) from error
         self.steps = list(steps)
 
-    @contextmanager
-    def numbers(self, mode: str, size: int = 0, fields: int = 0) -> Iterator[PETSc.Viewer]:
-        """Open the HDF5 file within a ``with`` block, if the disk has space for the data.
+    def write(self, *new: tuple[ET.Element, str, Floats | Ints | Longs]) -> list[ET.Element]:
+        """Write rows (n, k) of this rank by keys, refer to them in elements, and return these.
 
-        A full disk during a parallel write leaves a broken file and a deadlock. `mode`: "w" or "a";
-        `size`: bytes of this rank.
+        A full disk during a parallel write leaves a broken file and a deadlock, so that space is
+        demanded first.
         """
-        total = space_for(fields, self.comm.allreduce(size))
+        total = space_for(len(new), self.comm.allreduce(sum(rows.nbytes for *_, rows in new)))
         with raised_together(self.comm):
-            if self.comm.rank == 0 and fields:
+            if self.comm.rank == 0:
                 total += self.path.stat().st_size if self.path.exists() else 0  # its next version
                 demand_space(self.data, total)
         viewer = PETSc.Viewer()
-        self._together(lambda: viewer.createHDF5(str(self.data), mode, comm=self.comm))
+        self._together(lambda: viewer.createHDF5(str(self.data), self._mode, comm=self.comm))
+        self._mode = "a"
         try:
-            yield viewer
+            for element, key, rows in new:
+                element.append(self._write_rows(viewer, key, rows))
         finally:
             self._together(viewer.destroy)
+        return [element for element, _, _ in new]
 
-    def write(self, viewer: PETSc.Viewer, key: str, values: Floats | Ints | Longs) -> ET.Element:
-        """Write rows (n, k) of this rank, numbers or nodes of cells; return the reference."""
-        k, kind, flat = values.shape[1], "Float", values.ravel()
+    def _write_rows(
+        self, viewer: PETSc.Viewer, key: str, rows: Floats | Ints | Longs
+    ) -> ET.Element:
+        """Write numbers or nodes of cells; return the reference."""
+        k, kind, flat = rows.shape[1], "Float", rows.ravel()
         written: Any
-        if values.dtype.kind == "f":
+        if rows.dtype.kind == "f":
             flat = flat.astype(np.float64)
             written = PETSc.Vec().createWithArray(flat, bsize=k, comm=self.comm)
         else:
@@ -161,9 +166,12 @@ class File:
             written.setBlockSize(k)
         written.setName(key)
         self._together(lambda: written.view(viewer))
-        rows = int(written.getSize()) // k
+        count = int(written.getSize()) // k
         written.destroy()
-        return self._item(key, (rows, k) if k > 1 else (rows,), kind, flat.itemsize)
+        about = {"NumberType": kind, "Precision": str(flat.itemsize), "Format": "HDF"}
+        item = ET.Element("DataItem", about, Dimensions=f"{count} {k}" if k > 1 else str(count))
+        item.text = f"{self.data.name}:/{key}"
+        return item
 
     def _together(self, action: Callable[[], Any]) -> None:
         """Call a collective action; an error on one rank is raised on all, naming the file."""
@@ -173,12 +181,6 @@ class File:
         except Exception as error:
             failed = OSError(f"{self.data} could not be written: {error}")
         raise_together(self.comm, failed)
-
-    def _item(self, key: str, shape: tuple[int, ...], kind: str, precision: int) -> ET.Element:
-        about = {"NumberType": kind, "Precision": str(precision), "Format": "HDF"}
-        item = ET.Element("DataItem", about, Dimensions=" ".join(map(str, shape)))
-        item.text = f"{self.data.name}:/{key}"
-        return item
 
 
 def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:

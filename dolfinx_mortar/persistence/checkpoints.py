@@ -128,7 +128,7 @@ class Saved:
         with raised_together(state.comm):
             for interface, found in zip(state.interfaces, about["found"], strict=True):
                 interface.restore({name: np.array(v, float) for name, v in found.items()})
-        for name, f in {"displacement": state.u, **state.states_of_terms}.items():
+        for name, f in {"displacement": state.solid.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
         for name, f in state.solid.points.lasting_fields().items():
             known = name if name in points else name.replace("shown/", "committed/")
@@ -183,7 +183,7 @@ def _places_of(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_nodes(state: ProblemState) -> dict[str, Floats]:
-    u, committed = _owned(state.u), state.committed
+    u, committed = _owned(state.solid.u), state.committed
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
     found["active"] = committed.active[:, None].astype(float)
     if state.system.has_friction and committed.sliding is not None:
@@ -228,8 +228,8 @@ def describe(state: ProblemState) -> dict[str, Any]:
     Without loads, supports and changing parameters. Laws are known by name, not by their code.
     """
     solid, V = state.solid, state.solid.V
-    domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
-    parts = [part for region in solid.regions for part in region.parts]
+    domain, fields = V.mesh, solid.points.lasting_fields() | state.states_of_terms
+    materials = [material for region in solid.regions for material, _ in region.parts]
     found = {
         "mesh: dimension": domain.geometry.dim,
         "mesh: cell": domain.topology.cell_name(),
@@ -238,22 +238,16 @@ def describe(state: ProblemState) -> dict[str, Any]:
         "solid: kinematics": solid.kinematics.name,
         "solid: quadrature_degree": solid.quadrature_degree,
         "solid: volumetric": solid.volumetric,
-        "solid: materials": ", ".join(type(material).__name__ for material, _ in parts),
+        "solid: materials": ", ".join(type(material).__name__ for material in materials),
         "problem: geometry": state.geometry,
         "problem: interfaces": ", ".join(map(repr, state.interfaces)),
     }
-    own = [int((part < cells.size_local).sum()) for _, part in parts]
-    counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
-    for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True)):
-        subject = f"material {k}, {type(material).__name__}"
+    found |= {f"components of {name}": f.function_space.dofmap.bs for name, f in fields.items()}
+    for k, material in enumerate(materials):
         for name, value in named_parameters(material).items():
-            found[f"{subject}: {name}"] = float(value) if isinstance(value, Real) else "changing"
-        shapes = {name: list(shape) for name, shape in sorted(material.state.items())}
-        found |= {f"{subject}: state": shapes, f"{subject}: cells": count}
+            subject = f"material {k}, {type(material).__name__}: {name}"
+            found[subject] = float(value) if isinstance(value, Real) else "changing"
     names = [name for name, _ in state.terms]
-    for name, term in zip(names, state.ask_terms("state"), strict=True):
-        sizes = {column: f.function_space.dofmap.bs for column, f in sorted(term.items())}
-        found |= {f"{name}: state": sizes} if sizes else {}
     identities = dict(zip(names, state.ask_terms("identity"), strict=True))
     for k, interface in enumerate(state.interfaces):
         if interface.rigid is not None:

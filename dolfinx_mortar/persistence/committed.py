@@ -90,11 +90,6 @@ class Committed:
     supports: SupportForces | None = None  # of the last step that has converged
     gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
 
-    @property
-    def last_walk(self) -> list[LoadStep]:
-        """The steps of the last call."""
-        return self.history[len(self.history) - self.walked :]
-
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
         """Commit the displacement (n,), with the outcome of the step."""
         self.begun, self.displacement, self.gained = True, u.copy(), None
@@ -121,18 +116,10 @@ class ProblemState:
     terms: Sequence[tuple[str, Term]]
 
     @property
-    def u(self) -> fem.Function:
-        """The displacement."""
-        return self.solid.u
-
-    @property
     def states_of_terms(self) -> dict[str, fem.Function]:
         """States of the terms by column of a checkpoint; collective."""
-        return {
-            f"term {k} {name}": f
-            for k, state in enumerate(self.ask_terms("state"))
-            for name, f in state.items()
-        }
+        pairs = zip(self.terms, self.ask_terms("state"), strict=True)
+        return {f"{of}: {name}": f for (of, _), state in pairs for name, f in state.items()}
 
     def ask_terms(self, name: str) -> list[dict[str, Any]]:
         """Mapping of each term by a method; collective."""
@@ -154,7 +141,7 @@ class Before:
     def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
         """Copy the state, and an outcome that has not been committed; collective."""
         self.state, self.outcome = state, outcome
-        functions = [state.u, *state.states_of_terms.values()]
+        functions = [state.solid.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
         self._points = state.solid.points.keep()
         self._results = [(i, i.keep(), i.state(False)) for i in state.interfaces]

@@ -5,15 +5,15 @@ r"""One HDF5 file of values at places, written by any number of ranks and read b
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
-    about            JSON: what the caller gives; columns of each table, rows and box of each rank
+    about            JSON: what the caller gives; columns and shape of each table
     NAME    (N, c)   a table: in each row a place, and the values there
 
 Node numbers depend on the ranks, and nodes of both sides may coincide, so places are
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 receives the rows of one rank at a time. The file is renamed once complete. A rank reads rows
-of ranks whose boxes meet its own, and takes the nearest place. HDF5 may crash on a damaged file, so
+Rank 0 receives the rows of one rank at a time. The file is renamed once complete. Each rank reads
+all rows, a part at a time, and takes those at its places. HDF5 may crash on a damaged file, so
 the checksum is tested first.
 """
 
@@ -33,7 +33,7 @@ import scipy
 
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import SAME, Floats, Longs
+from dolfinx_mortar.arrays import CHUNK, SAME, Floats, Longs
 from dolfinx_mortar.disk import (
     CHECKPOINT,
     demand_space,
@@ -103,9 +103,9 @@ def write(
     check_folder(comm, path)
     tables = {}
     for name, x in places.items():
-        box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
         columns = {column: v.shape[1] for column, v in values[name].items()}
-        tables[name] = {"columns": columns, "ranks": comm.gather([len(x), *box.tolist()])}
+        shape = comm.allreduce(len(x)), x.shape[1] + sum(columns.values())
+        tables[name] = {"columns": columns, "shape": shape}
     rows = ((n, part) for n in places for part in _rows(comm, [places[n], *values[n].values()]))
     with raised_together(comm):
         try:
@@ -131,10 +131,7 @@ def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, 
     draft = draft_of(path)
     try:
         text = np.frombuffer(json.dumps(about, default=_plain).encode(), dtype=np.uint8)
-        shapes = {}
-        for name, table in about["tables"].items():
-            width = (len(table["ranks"][0]) - 1) // 2 + sum(table["columns"].values())
-            shapes[name] = int(sum(count for count, *_ in table["ranks"])), width
+        shapes = {name: table["shape"] for name, table in about["tables"].items()}
         draft.write_bytes(b"")
         numbers = 8 * sum(n * c for n, c in shapes.values())
         demand_space(draft, space_for(len(shapes) + 1, numbers + len(text)))
@@ -206,32 +203,27 @@ def read_tables(
     hits: dict[str, Longs] = {}
     with raised_together(comm), _opened(path) as file:
         for name, own in places.items():
-            found[name], hits[name] = _read_table(file[name], about["tables"][name], own, size)
+            found[name], hits[name] = _read_table(
+                file[name], about["tables"][name]["columns"], own, size
+            )
     told = {}
     for name, own in places.items():
-        there = sum(count for count, *_ in about["tables"][name]["ranks"])
-        told[name] = _difference(comm, own, hits[name], there)
+        told[name] = _difference(comm, own, hits[name], about["tables"][name]["shape"][0])
     return found, {name: text for name, text in told.items() if text}
 
 
 def _read_table(
-    table: Any, about: Mapping[str, Any], own: Floats, size: float
+    table: Any, widths: Mapping[str, int], own: Floats, size: float
 ) -> tuple[dict[str, Floats], Longs]:
     """Values at own places (n, k), and number of rows of each."""
-    (n, k), widths = own.shape, about["columns"]
+    n, k = own.shape
     tree = scipy.spatial.cKDTree(own)
     values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
-    low, high = own.min(axis=0, initial=np.inf), own.max(axis=0, initial=-np.inf)
-    last = 0
-    for count, *box in about["ranks"]:
-        first, last = last, last + count
-        apart = np.r_[low - box[k:], np.array(box[:k]) - high]
-        if (apart > SAME * size).any():
-            continue
-        rows = table[first:last]
+    for first in range(0, len(table), CHUNK):
+        rows = table[first : first + CHUNK]
         distance, at = tree.query(rows[:, :k], distance_upper_bound=SAME * size)
         hit = np.isfinite(distance)
-        np.add.at(hits, at[hit], 1)
+        hits += np.bincount(at[hit], minlength=n)
         values[at[hit]] = rows[hit, k:]
     columns = np.split(values, np.cumsum([*widths.values()])[:-1], axis=1)
     return dict(zip(widths, columns, strict=False)), hits
@@ -241,14 +233,15 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
     total = comm.allreduce(len(own), op=MPI.SUM)
     if total != there:
         return f"there are {total}, in the checkpoint {there}"
-    # numbers are equal, so a duplicate implies a missing place: name the cause first
-    for wrong, text in ((hits > 1, "there more than once"), (hits == 0, "not in the checkpoint")):
-        some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
-        count = sum(n for n, _ in some)
-        if count:
-            x = next(x[0] for n, x in some if n)
-            where = ", ".join(f"{v:.6g}" for v in x)
-            return f"{count} of {total} are {text}, such as that at ({where})"
+    wrong = hits != 1
+    some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
+    if count := sum(n for n, _ in some):
+        x = next(x[0] for n, x in some if n)
+        where = ", ".join(f"{v:.6g}" for v in x)
+        return (
+            f"{count} of {total} are in the checkpoint not at all, or more than once, "
+            f"such as that at ({where})"
+        )
     return ""
 
 

@@ -28,6 +28,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import connect, facet_nodes
 from dolfinx_mortar.spaces import CELLS
 from dolfinx_mortar.tags import names_of, tags_of
@@ -134,16 +135,8 @@ def field(
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
     tools = [one.tool.outline() for one in every if one.tool is not None]
 
-    def draw(drawer: Any, on: Any) -> None:
-        assert bodies is not None
-        drawer.draw_field(on, bodies, name)
-        if tools and len(bodies.x):
-            x = bodies.x[:, :d]
-            low, high = x.min(axis=0), x.max(axis=0)
-            beside = 0.1 * np.linalg.norm(high - low)
-            drawer.draw_tools(on, tools, low - beside, high + beside)
-
-    return _on_rank_0(V.mesh, (file, view, ax), draw)
+    to = file, view, ax
+    return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))
 
 
 def pressure(
@@ -164,9 +157,9 @@ def pressure(
         ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
-    if not hasattr(problem, "check_owned"):
+    if not hasattr(problem, "supports"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
-    problem.check_owned()
+    check_owned(problem.interfaces, problem.supports)
     check_same_on_all_ranks(problem.comm, interfaces=interfaces)
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     chosen = list(asked) if isinstance(asked, list | tuple) else [asked]
@@ -198,10 +191,13 @@ def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
 def _on_rank_0(
     domain: dmesh.Mesh,
     to: tuple[File, Any, Any],
-    draw: Callable[[Any, Any], None],
+    draw: Callable[[Any, Any], Any],
     panes: int = 1,
 ) -> Any:
-    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective."""
+    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective.
+
+    `draw` may return a direction to look from.
+    """
     dim, (file, view, ax) = domain.geometry.dim, to
     with raised_together(domain.comm):
         check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
@@ -221,8 +217,8 @@ def _on_rank_0(
     with raised_together(domain.comm):
         if domain.comm.rank == 0:
             result = drawer.begin(file, ax, panes)
-            draw(drawer, result)
-            drawer.finish(result, file, view)
+            own = draw(drawer, result)
+            drawer.finish(result, file, own if view is None else view)
     return result
 
 
@@ -234,6 +230,13 @@ class Parts:
     nodes: Longs  # (m, k): vertices in order around the part, middles of edges, interior node
     values: np.ndarray  # (n,) at nodes, or (m,)
     at_nodes: bool
+
+    @property
+    def box(self) -> Floats:
+        """Box (2, 3) around the parts, enlarged by a tenth of its diagonal."""
+        low, high = self.x.min(axis=0), self.x.max(axis=0)
+        beside = 0.1 * np.linalg.norm(high - low)
+        return np.stack([low - beside, high + beside])
 
     @property
     def polygons(self) -> Longs:

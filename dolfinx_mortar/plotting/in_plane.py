@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.plotting import SIDES, Parts
 
 GRID = 400
@@ -52,8 +51,8 @@ def draw_mesh(axes: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -> N
         axes.legend(handles=entries, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def draw_field(axes: Any, cells: Parts, name: str) -> None:
-    """Draw a field of cells (flat) or nodes (shaded) with its scale."""
+def draw_field(axes: Any, cells: Parts, name: str, tools: list[Any]) -> None:
+    """Draw a field of cells (flat) or nodes (shaded) with its scale, and the interior of tools."""
     if cells.at_nodes:
         x, y = cells.x[:, :2].T
         style = {"shading": "gouraud", "cmap": "viridis"}
@@ -63,10 +62,9 @@ def draw_field(axes: Any, cells: Parts, name: str) -> None:
         drawn = _add_cells(axes, cells, array=cells.values, edgecolor="#00000030")
     axes.figure.colorbar(drawn, ax=axes, label=name, shrink=0.8)
     _frame(axes)
-
-
-def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw the interior of tools, in the box from low to high (2,)."""
+    if not tools:
+        return
+    low, high = cells.box
     x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1)
     for tool in tools:

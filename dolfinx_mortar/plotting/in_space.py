@@ -14,11 +14,7 @@ import numpy as np
 import pyvista
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.plotting import SIDES, Parts
-
-GRID = 60
-"""Points along each side of the box in which tools are drawn."""
 
 TOOL = "#808080"
 BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # also of their names
@@ -34,13 +30,18 @@ def begin(file: Any, ax: Any, panes: int) -> Any:
         window_size=(500 + 500 * panes, 800),
     )
     plotter.set_background("white", all_renderers=True)
+    for k in range(panes):
+        plotter.subplot(0, k)
+        plotter.add_axes(color="black")
     return plotter
 
 
 def finish(plotter: Any, file: Any, view: Any) -> None:
-    """Set the view, and write a picture if there is a file."""
-    if view is not None:
-        _look(plotter, np.asarray(view, dtype=float))
+    """Look from a direction with z upwards, or y for a view along z; write a picture to a file."""
+    towards = np.asarray((1.0, 1.0, 1.0) if view is None else view, dtype=float)
+    upright = np.linalg.norm(towards[:2]) > 0.1 * abs(towards[2])
+    for renderer in plotter.renderers:
+        renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
     if file is not None:
         plotter.screenshot(os.fspath(file))
 
@@ -59,48 +60,34 @@ def draw_mesh(plotter: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -
         if tags is not None and names:
             size = 0.25, 0.035 * len(names)
             plotter.add_legend(names, face="rectangle", loc="upper left", size=size)
-        _finish_pane(plotter)
     plotter.link_views()
 
 
-def draw_field(plotter: Any, outside: Parts, name: str) -> None:
-    """Draw a field of cells (flat) or nodes (shaded) with its scale."""
+def draw_field(plotter: Any, outside: Parts, name: str, tools: list[Any]) -> None:
+    """Draw a field of cells (flat) or nodes (shaded) with its scale, and transparent tools."""
     _add_values(plotter, outside, name)
-    _finish_pane(plotter)
-
-
-def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw transparent tools, in the box from low to high (3,)."""
+    low, high = outside.box
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     for tool in tools:
-        if tool.surface is not None:
-            surface = pyvista.PolyData.from_regular_faces(*tool.surface)
-        else:
-            spacing = (high - low) / (GRID - 1)
-            grid = pyvista.ImageData(dimensions=(GRID,) * 3, spacing=spacing, origin=low)
-            grid["phi"] = tool.distance(np.asarray(grid.points, dtype=np.float64))
-            surface = grid.contour([0.0], scalars="phi")
-        box = np.column_stack([low, high]).ravel()
-        surface = surface.clip_box(box, invert=False).extract_surface()
-        if surface.n_points:
-            plotter.add_mesh(surface, color=TOOL, opacity=0.35, smooth_shading=True)
+        within = tool.pose.to_tool(corners)
+        points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
+        if len(cells):
+            surface: Any = pyvista.PolyData.from_regular_faces(tool.pose.to_space(points), cells)
+            clipped = surface.clip_box(np.column_stack([low, high]).ravel(), invert=False)
+            if clipped.n_points:
+                style = {"color": TOOL, "opacity": 0.35, "smooth_shading": True}
+                plotter.add_mesh(clipped.extract_surface(), **style)
 
 
-def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures on the slave sides, seen along their least extent."""
+def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> Any:
+    """Draw pressures on the slave sides; return the direction of their least extent."""
     for _, side in sides:
         _add_values(plotter, side, title)
-    _finish_pane(plotter)
     x = np.concatenate([side.x for _, side in sides])
-    if len(x):
-        least = np.linalg.eigh(np.cov(x.T))[1][:, 0]
-        _look(plotter, least * np.sign(least[np.abs(least).argmax()]))
-
-
-def _look(plotter: Any, towards: Floats) -> None:
-    """Look from a direction (3,), with z upwards, or y for a view along z."""
-    upright = np.linalg.norm(towards[:2]) > 0.1 * abs(towards[2])
-    for renderer in plotter.renderers:
-        renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
+    if not len(x):
+        return None
+    least = np.linalg.eigh(np.cov(x.T))[1][:, 0]
+    return least * np.sign(least[np.abs(least).argmax()])
 
 
 def _add_values(plotter: Any, parts: Parts, title: str) -> None:
@@ -119,11 +106,6 @@ def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
     edges = {"color": "#303030", "line_width": 1, "opacity": 0.4, "lighting": False}
     plotter.add_mesh(around.extract_all_edges(), **edges)
-
-
-def _finish_pane(plotter: Any) -> None:
-    plotter.add_axes(color="black")
-    plotter.view_isometric()
 
 
 def find_screen() -> None:

@@ -53,10 +53,15 @@ def check_arguments(
         **options,
     )
     check("geometry", geometry, one_of(*GEOMETRIES))
-    sides = _check_interfaces(_as_list("interfaces", given))
+    a_list = instance(Iterable, "give a list, [] for none")
+    sides: list[Interface] = list(check("interfaces", given, a_list))
+    for k, interface in enumerate(sides):
+        check(f"interfaces[{k}]", interface, instance(Interface, "give Contact or Tie objects"))
+        if any(interface is other for other in sides[:k]):
+            raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
     if sides:
         _check_weight(solid)
-    conditions = check_conditions("bcs", _as_list("bcs", conditions), solid.V)
+    conditions = check_conditions("bcs", list(check("bcs", conditions, a_list)), solid.V)
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
@@ -107,18 +112,6 @@ def _unrolled(values: Any) -> Any:
     values = values.tolist() if isinstance(values, np.ndarray) else values
     text = isinstance(values, str | bytes)
     return list(values) if isinstance(values, Iterable) and not text else values
-
-
-def _as_list(name: str, given: Any) -> list[Any]:
-    return list(check(name, given, instance(Iterable, "give a list, [] for none")))
-
-
-def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
-    for k, interface in enumerate(interfaces):
-        check(f"interfaces[{k}]", interface, instance(Interface, "give Contact or Tie objects"))
-        if any(interface is other for other in interfaces[:k]):
-            raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
-    return interfaces
 
 
 def _check_weight(solid: Solid) -> None:

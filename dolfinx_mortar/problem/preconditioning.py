@@ -32,8 +32,14 @@ class UnknownsOfBodies:
     def change(self, held: Ints) -> Change:
         """See `Unknowns`; collective."""
         T = self.system.transformation
-        eliminated = eliminated_dofs(self.system, self.supports)
-        decoupled = np.union1d(eliminated, held).astype(np.int32)
+        # prescribed by Dirichlet data or ties
+        d, (node, component) = self.bodies.V.dofmap.index_map_bs, self.supports.owned.nonzero()
+        parts = [held, d * node + self.system.slots()[node, component]]
+        for link in self.system.links:
+            if not link.unilateral:
+                k, axis = np.nonzero(link.constrained)
+                parts.append(d * link.nodes[k] + axis)
+        decoupled = np.unique(np.concatenate(parts)).astype(np.int32)
         C, E = (None, None) if T is None else T.uncouple(decoupled)
         self.operator.follow(C, decoupled)
         return Change(E, self.operator.matrix)
@@ -46,15 +52,3 @@ class UnknownsOfBodies:
         for motion in motions:
             motion.array[self.operator.decoupled] = 0.0
         return motions
-
-
-def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
-    """Owned unknowns of y prescribed by Dirichlet data or ties."""
-    d = supports.V.dofmap.index_map_bs
-    node, component = np.nonzero(supports.owned)
-    parts = [d * node + system.slots()[node, component]]
-    for link in system.links:
-        if not link.unilateral:
-            k, axis = np.nonzero(link.constrained)
-            parts.append(d * link.nodes[k] + axis)
-    return np.unique(np.concatenate(parts)).astype(np.int32)

@@ -19,7 +19,6 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import (
     any_rank,
     from_callbacks,
@@ -27,7 +26,7 @@ from dolfinx_mortar.algebra.parallel import (
     raise_together,
     raised_together,
 )
-from dolfinx_mortar.arrays import ROUND_OFF, TINY, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
@@ -169,10 +168,6 @@ class ContactProblem:
         v.array[:] = 0.0 if values is None else values.ravel()
         return v
 
-    def check_owned(self) -> None:
-        """Raise a ValueError if a later problem uses an interface."""
-        check_owned(self.interfaces, self.supports)
-
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
@@ -183,7 +178,7 @@ class ContactProblem:
             ValueError: for NaN, infinity or contradictions in the data; negative friction limits,
                 points that leave an axis, invalid jumps, interfaces of another problem.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         data = self._read(level)
         before = self.owned_u.copy()
         self.owned_u[:] += self._carried(data.asked, before)
@@ -224,7 +219,6 @@ class ContactProblem:
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
             ("u", self.u.x.array, "start from a finite displacement"),
-            ("the mesh's coordinates", self.V.mesh.geometry.x, "check the mesh"),
         ):
             bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
             if bad:
@@ -283,7 +277,7 @@ class ContactProblem:
             ValueError: if a body can move freely, two surfaces can never meet, or a later problem
                 uses an interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         self._check_mesh()
         asked = self.supports.increment(self.supports.values(), self.u.x.array)
         increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
@@ -300,7 +294,7 @@ class ContactProblem:
         check_axis(self.solid, self.supports, self.system.sides)
 
     def _audit(self, increment: float) -> Audit:
-        springs = self._resistance_of_potential()
+        springs = self.terms.resistance()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
 
@@ -318,18 +312,8 @@ class ContactProblem:
 
     def held_by_contact(self) -> list[str]:
         """Names of the bodies that only contact restrains at present; collective."""
-        springs = self._resistance_of_potential()
+        springs = self.terms.resistance()
         return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
-
-    def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return v -> forces of the terms under v, over the largest entry of each row of K."""
-        if not self.terms.stiff:
-            return lambda v: np.zeros(0)
-        self.terms.check_energies()
-        springs = self.terms.stiffness()
-        least = max(ROUND_OFF * springs.norm(PETSc.NormType.INFINITY), TINY)
-        scale = np.maximum(abs(owned_rows(springs)).max(axis=1).toarray().ravel(), least)
-        return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self) -> None:
         """Pair the surfaces at X + u (X if frozen), and compute D, M, N and T; collective."""
@@ -350,9 +334,7 @@ class ContactProblem:
 
     def positions(self) -> PETSc.Vec:
         """Vector X + u."""
-        x = self.vector(self.X)
-        x.array[:] += self.u.x.array[: x.local_size]
-        return x
+        return self.vector(self.X.ravel() + self.owned_u)
 
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
@@ -360,17 +342,17 @@ class ContactProblem:
         An error, or Ctrl-C, restores the last commit. A ValueError if a later problem uses an
         interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         outcome = self.ended_here()
         before = outcome.before if outcome and outcome.before else Before(self.state, None)
         with self.timings("commit"), self.undone(before):
-            ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
+            ended = outcome.ended if outcome else ()
+            ended = ended or [interface.state(True) for interface in self.interfaces]
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
-            states = [interface.state(False) for interface in self.interfaces]
             with raised_together(self.comm):
-                for interface, now, end in zip(self.interfaces, states, ended, strict=True):
-                    interface.restore({**now, **end})
+                for interface, end in zip(self.interfaces, ended, strict=True):
+                    interface.restore(end)
             self.outcome = None
 
     @contextmanager
@@ -397,14 +379,6 @@ class ContactProblem:
         outcome = self.ended_here() if self.in_time else None
         if outcome is not None and outcome.before is not None:
             self.undo(outcome.before)
-
-    def ends_of_interfaces(self) -> list[Any]:
-        """States that a commit changes; collective."""
-        pairs = [(one.state(False), one.state(True)) for one in self.interfaces]
-        return [
-            {name: v for name, v in end.items() if not np.array_equal(v, now[name])}
-            for now, end in pairs
-        ]
 
     def ended_here(self) -> StepOutcome | None:
         """Outcome of the last step, None if u has changed; collective."""
@@ -461,7 +435,7 @@ class ContactProblem:
         friction also "traction" and "slip" (see `Contact`). A ValueError if a later problem
         uses an interface.
         """
-        self.check_owned()
+        check_owned(self.interfaces, self.supports)
         fields = {"displacement": self.u} | self.solid.output_fields()
         names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
         names += ["traction", "slip"] if self.system.has_friction else []

@@ -60,11 +60,6 @@ class Friction:
         return np.asarray(self.coefficient * np.maximum(pressing, 0.0) + self.cohesion)
 
     @property
-    def plane(self) -> bool:
-        """Whether no node has two tangential unknowns."""
-        return self.tangential.shape[1] == 1
-
-    @property
     def across(self) -> Bools:
         """Nodes (m,) with two tangential unknowns."""
         return np.asarray(self.some.sum(axis=1) > 1)
@@ -101,15 +96,6 @@ class Sliding:
         d = self.direction
         across = slip - d * (d * slip).sum(axis=1, keepdims=True)
         return np.asarray(limit[:, None] * d + self.stiffness[:, None] * across)
-
-
-def state_of(held: Ints, sliding: Sliding | None) -> bytes:
-    """Key of the linear system of a state, never empty."""
-    found = b"state" + held.tobytes()
-    if sliding is not None:
-        found += sliding.normal.tobytes() + sliding.direction.tobytes()
-        found += sliding.stiffness.tobytes()
-    return found
 
 
 @dataclass(frozen=True)
@@ -324,6 +310,7 @@ class QPSolution:
     backend: str
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
+    linearisation: str = ""  # of friction
     travel: Floats | None = None  # (m,) q of `moved`
     resistance: Floats | None = None  # (m, m) resistance of the forces to q
 

@@ -89,6 +89,7 @@ class Dense:
         return result
 
     def _free(self, M: Floats, held: Ints) -> tuple[Floats, Longs]:
+        """Scaled free part of M, and its unknowns."""
         free = np.setdiff1d(np.arange(len(M)), held)
         s = self.scale[free]
         return M[np.ix_(free, free)] * np.outer(s, s), free
@@ -98,7 +99,7 @@ class Dense:
         M, _ = self._free(self.S, held)
         if not len(M) or scipy.linalg.lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
-        return int((np.linalg.eigvalsh((M + M.T) / 2) < -ROUND_OFF * len(M)).sum())
+        return int((np.linalg.eigvalsh(M) < -ROUND_OFF * len(M)).sum())
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:
@@ -147,7 +148,9 @@ class Condensed:
         """Condensed QP of the residual at x (n,)."""
         whole, held = self._whole, self._whole.held
         self._x = self._with_inner(self._x if x is None else x)
-        left = self._left(self._x)[self._G]
+        at = whole.b.duplicate()
+        at.array[:] = self._x
+        left = reaction(whole, at).array_r[self._G]
         self._w = scipy.linalg.solve_triangular(self._L, left[self._rest], lower=True)
         b, lower, upper = (self.dense.matrix.createVecRight() for _ in range(3))
         b.array[:] = left[self._on] - self._Q.T @ self._w + self.dense.S @ self._x[held]
@@ -170,14 +173,10 @@ class Condensed:
         x[held] = own
         return self._with_inner(x)
 
-    def _left(self, x: Floats) -> Floats:
-        at = self._whole.b.duplicate()
-        at.array[:] = x
-        return np.asarray(reaction(self._whole, at).array_r)
-
     def _with_inner(self, x: Floats) -> Floats:
-        left, found = self._whole.b.duplicate(), self._whole.b.duplicate()
-        left.array[:] = self._left(x)
+        found = self._whole.b.duplicate()
+        found.array[:] = x
+        left = reaction(self._whole, found)
         left.array[self._G] = 0.0
         if left.norm() <= self._atol:
             return x

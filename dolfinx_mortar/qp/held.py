@@ -68,11 +68,6 @@ class State:
         most = law.across * diagonal.max(axis=1, initial=0.0)
         return State(active, d, most if kappa is None else np.minimum(kappa, most))
 
-    @staticmethod
-    def holding(qp: BoundQP) -> State:
-        """State with all unknowns at their nearest bounds and all nodes sticking."""
-        return State.create(qp, nearest(qp))
-
     def tobytes(self) -> bytes:
         """The same for equal states."""
         parts = self.active, self.directions, self.stiffness
@@ -136,23 +131,20 @@ def update(
             return Outcome(held, updates, "")
         if found.changes == 0:
             level += 1
-        elif came_back(found.predicted, seen, comm):
-            if level >= TIGHT:
-                return Outcome(held, updates, "the active set came back to an earlier one")
-            level += 1
-            seen.clear()
+        else:
+            key, salt = found.predicted.tobytes(), str(comm.rank).encode()
+            part = int.from_bytes(blake2b(key, digest_size=7, salt=salt).digest())
+            everywhere = comm.allreduce(part, op=MPI.SUM)
+            if everywhere in seen:
+                if level >= TIGHT:
+                    return Outcome(held, updates, "the active set came back to an earlier one")
+                level += 1
+                seen.clear()
+            else:
+                seen.add(everywhere)
         updates += found.changes > 0
         state = found.predicted
     return Outcome(held, updates, f"the active set still changed after {LIMIT} solves")
-
-
-def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
-    """Whether this set was seen before; add it (collective)."""
-    part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
-    everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
-    known = everywhere in seen
-    seen.add(everywhere)
-    return known
 
 
 class Solver(Protocol):
@@ -230,7 +222,10 @@ class HeldProblem:
         if worst:
             new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(comm.allreduce(changes))
-        return Found(new, changes, changes == 0 and level >= TIGHT and self._is_accurate(level))
+        satisfied = changes == 0 and level >= TIGHT
+        if satisfied and not (self.linear.exact or self._accuracy(level) <= ROUND_OFF):
+            satisfied = check(self.qp, self.x, self.z).satisfied(self.rtol)
+        return Found(new, changes, satisfied)
 
     def solve(self, state: State, level: int) -> float:
         """Solve in a state; set x and z; return the tolerance (collective)."""
@@ -242,7 +237,11 @@ class HeldProblem:
             stuck = state.sticks(law)
             held = np.concatenate([held, law.tangential[stuck]])
             values = np.concatenate([values, law.rest[stuck]])
-            sliding = self._sliding(law, state)
+            slips = state.slips(law)
+            if any_rank(qp.comm, slips.any())[0]:
+                parts = law.select(slips)
+                given = state.directions[slips], state.stiffness[slips]
+                sliding = Sliding(qp.bounded[parts.normal], parts, *given)
         if any_rank(qp.comm, (self.x.array_r[held] != values).any())[0]:
             self.x.array[held] = values
             self.z = reaction(qp, self.x)
@@ -261,21 +260,8 @@ class HeldProblem:
                 break
         return reached
 
-    def _sliding(self, law: Friction, state: State) -> Sliding | None:
-        """Linearised law of slipping nodes, None if no rank has any; collective."""
-        slips = state.slips(law)
-        if not any_rank(self.qp.comm, slips.any())[0]:
-            return None
-        parts = law.select(slips)
-        normal = self.qp.bounded[parts.normal]
-        return Sliding(normal, parts, state.directions[slips], state.stiffness[slips])
-
     def _accuracy(self, level: int) -> float:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
-
-    def _is_accurate(self, level: int) -> bool:
-        finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
-        return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
     def _tolerance(self, level: int) -> float:
         assert self.reactions is not None

@@ -26,7 +26,7 @@ def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     try:
         x, iterations, reason = _iterate(qp, linear, scaled, 1.0 / HALF_OF_DIGITS, rtol)
     finally:
-        scaled.destroy()
+        scaled.A.destroy()
     start = State.create(qp, on_bounded(qp, x, reaction(qp, x)).predicted())
     polished = active_set.solve(qp, linear, start=start, rtol=rtol, guess=x)
     note = f"TAO bqpip did not reach the tolerance itself, reason {reason}"
@@ -116,6 +116,3 @@ class _Scaled:
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
-
-    def destroy(self) -> None:
-        self.A.destroy()

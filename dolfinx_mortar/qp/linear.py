@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
@@ -32,8 +31,6 @@ from dolfinx_mortar.qp.preconditioner import (
     SchurComplement,
     Unknowns,
 )
-
-log = logging.getLogger(__name__)
 
 # Largest order in 3D that may be factorised instead of multigrid: about 4 GiB.
 MOST_FACTORISED = 200_000
@@ -354,17 +351,14 @@ class LinearSolver:
             different = preconditioner.differences(held)
             if different is None or renewal.is_far(different):
                 self.factorise(held)
-            fresh, before, begin = preconditioner.is_of(held), norm, perf_counter()
+            fresh, before = preconditioner.is_of(held), norm
             preconditioner.follow(held)
             floor, limit = operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
             if self.direct and not fresh:
                 limit = min(limit, 2 * renewal.after)
             reduction = max(EPS, max(atol, floor) / norm)
             ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
-            ksp.solve(operator.r, dx)
-            self.counts.iterations += max(1, ksp.getIterationNumber())
-            renewal.learn(ksp.getConvergenceHistory(), stale=not fresh)
-            self.counts.seconds_solve += perf_counter() - begin
+            self._sweep(dx, stale=not fresh)
             dx.array[held] = 0.0  # an old factorisation may change them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
@@ -374,13 +368,15 @@ class LinearSolver:
             if fresh and (ksp.getIterationNumber() >= setup.max_iterations or not norm < before):
                 break
             if not fresh:
-                diverged = ksp.getConvergedReason() < 0  # an old set-up may be indefinite
-                if not self.direct and (diverged or not norm < before):
-                    self.counts.breakdowns += 1
-                    if self._comm.rank == 0:
-                        log.info("an old preconditioner failed and is set up anew")
-                self.factorise(held)
+                self.factorise(held)  # an old set-up may be indefinite
         return float(norm)
+
+    def _sweep(self, dx: PETSc.Vec, *, stale: bool) -> None:
+        begin, ksp = perf_counter(), self._ksp
+        ksp.solve(self._operator.r, dx)
+        self.counts.iterations += max(1, ksp.getIterationNumber())
+        self.setup.renewal.learn(ksp.getConvergenceHistory(), stale=stale)
+        self.counts.seconds_solve += perf_counter() - begin
 
     @property
     def _ksp(self) -> PETSc.KSP:

@@ -40,13 +40,6 @@ OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
 
-def was_read(name: str) -> bool:
-    """Whether PETSc has read an option (with prefix)."""
-    found = ctypes.c_int(0)
-    call("PetscOptionsUsed", None, name.encode(), ctypes.byref(found))
-    return bool(found.value)
-
-
 class SolverOptions:
     """PETSc options under a prefix, over defaults; the user's options database takes precedence.
 
@@ -65,24 +58,20 @@ class SolverOptions:
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
-        return self._used(key, self.values)
+        return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
 
     def of_definite(self, key: str) -> str:
         """Value that applies to definite matrices."""
-        return self._used(key, self._values(True))
-
-    def _used(self, key: str, values: dict[str, Any]) -> str:
-        return str(PETSc.Options(self.prefix).getString(key, str(values[key])))
+        before, self.definite = self.definite, True
+        found, self.definite = self[key], before
+        return found
 
     @property
     def values(self) -> dict[str, Any]:
         """The options over the defaults."""
-        return self._values(self.definite)
-
-    def _values(self, definite: bool) -> dict[str, Any]:
-        methods = DEFAULTS if definite else DEFAULTS | GENERAL
+        methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
         values = methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
-        if not definite and values["pc_type"] == DEFAULTS["pc_type"]:
+        if not self.definite and values["pc_type"] == DEFAULTS["pc_type"]:
             values["pc_type"] = GENERAL["pc_type"]  # Cholesky reads one half of a matrix
         return values
 
@@ -100,19 +89,20 @@ class SolverOptions:
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:
         """Put the options into PETSc's database in a block."""
-        opts = PETSc.Options()
-        values = self.values
-        hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}
-        mine = {k: v for k, v in values.items() if k not in hidden}
-        for key, value in mine.items():
-            opts.setValue(f"{prefix}{key}", value)
+        opts, used, values = PETSc.Options(prefix), ctypes.c_int(0), self.values
+        read = {key for key in values if opts.hasName(key)}
+        mine = [key for key in values if key not in read]
+        for key in mine:
+            opts.setValue(key, values[key])
         try:
             yield
         finally:
-            read = hidden | {key for key in mine if was_read(f"{prefix}{key}")}
-            self._unread -= read - OVERRULED if prefix == self.prefix else read
             for key in mine:
-                opts.delValue(f"{prefix}{key}")
+                name = f"{prefix}{key}".encode()
+                call("PetscOptionsUsed", None, name, ctypes.byref(used))
+                read |= {key} if used.value else set()
+                opts.delValue(key)
+            self._unread -= read - OVERRULED if prefix == self.prefix else read
 
     def unread(self) -> list[str]:
         """The user's options that PETSc has not read."""
@@ -158,13 +148,7 @@ def _wrong_type(options: Mapping[str, Any] | None) -> str:
 
 
 def _try_out(options: SolverOptions) -> None:
-    size = 8
-    A = PETSc.Mat().createAIJ((size, size), nnz=1, comm=MPI.COMM_SELF)
-    A.setUp()
-    one = A.createVecRight()
-    one.set(1.0)
-    A.setDiagonal(one)
-    A.assemble()
+    A = PETSc.Mat().createConstantDiagonal(8, 1.0, comm=MPI.COMM_SELF).convert("aij")
     A.setOption(PETSc.Mat.Option.SPD, True)
     ksp = PETSc.KSP().create(MPI.COMM_SELF)
     ksp.setOptionsPrefix(options.prefix)

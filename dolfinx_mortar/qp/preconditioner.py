@@ -39,7 +39,6 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # failures of an iteration with an old set-up
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
@@ -158,50 +157,30 @@ class Multigrid:
 
         `motions`, the near null space, are overwritten; `held` are fixed in B.
         """
-        self.B, self.E, self.held = change.matrix.copy(), change.E, held
-        free_unused(self.B.comm.tompi4py())
-        self.B.setOption(PETSc.Mat.Option.SPD, definite)
-        basis = orthonormal(motions)
-        if basis:
-            self.B.setBlockSize(basis[0].getBlockSize())
-            self.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=self.B.comm))
-        self.inner.setFromOptions()
+        self.E, self.held, inner, B = change.E, held, self.inner, change.matrix.copy()
+        free_unused(B.comm.tompi4py())
+        B.setOption(PETSc.Mat.Option.SPD, definite)
+        if basis := orthonormal(motions):
+            B.setBlockSize(basis[0].getBlockSize())
+            B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=B.comm))
+        inner.setFromOptions()
+        inner.setUseAmat(self.follows)
+        inner.setOperators(change.matrix if self.follows else B, B)
+        inner.setReusePreconditioner(False)
+        inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps an earlier one
+        inner.setUp()
+        self.B, self.negative = B, 0
         if self.follows:
-            self.inner.setUseAmat(True)
-            self.inner.setOperators(change.matrix, self.B)
-        else:
-            self.inner.setOperators(self.B)
-        self.inner.setReusePreconditioner(False)
-        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps an earlier one
-        self.inner.setUp()
-        self.negative = 0
-        if self.follows:
-            self._forget_factors()
-            self.negative = count_negative(self._coarsest) if definite else 0
-            self._release(change.matrix)
-        self.inner.setReusePreconditioner(True)
-
-    def _forget_factors(self) -> None:
-        for level in range(self.inner.getMGLevels() - 1):
-            product = self.inner.getMGSmoother(level).getOperators()[0]
-            call("MatProductClear", ctypes.c_void_p(product.handle))
-
-    @property
-    def _coarsest(self) -> PETSc.Mat:
-        return self.inner.getMGSmoother(0).getOperators()[1]
-
-    @property
-    def _needs_diagonal(self) -> bool:
-        levels = self.inner.getMGLevels()
-        smoother = self.inner.getMGSmoother(levels - 1)
-        return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
-
-    def _release(self, finest: PETSc.Mat) -> None:
-        if self._needs_diagonal:
-            assert self.B is not None, "not set up"
-            self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())
-            for user in (self.inner.getMGSmoother(self.inner.getMGLevels() - 1), self.inner):
-                user.setOperators(finest, self.B)
+            levels = [inner.getMGSmoother(level) for level in range(inner.getMGLevels())]
+            for level in levels[:-1]:
+                product = ctypes.c_void_p(level.getOperators()[0].handle)
+                call("MatProductClear", product)  # frees its factors
+            self.negative = count_negative(levels[0].getOperators()[1]) if definite else 0
+            if len(levels) > 1 and levels[-1].getPC().getType() == PETSc.PC.Type.JACOBI:
+                self.B = PETSc.Mat().createDiagonal(B.getDiagonal())  # all that it needs
+                for user in (levels[-1], inner):
+                    user.setOperators(change.matrix, self.B)
+        inner.setReusePreconditioner(True)
 
     def follow(self, change: Change, held: Ints) -> None:
         """Set the present fixed unknowns and v; collective."""
@@ -237,9 +216,8 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
     if C is None or C.comm.size > 1:
         return None
     start, columns = C.getRowIJ()
-    on = np.diff(start) > 0
-    on[columns] = True
-    return _few(K, np.flatnonzero(on).astype(np.int32), options)
+    rows = np.flatnonzero(np.diff(start) > 0)
+    return _few(K, np.union1d(rows, columns).astype(np.int32), options)
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:

@@ -25,7 +25,7 @@ from dolfinx_mortar.arrays import (
     Floats,
     Ints,
 )
-from dolfinx_mortar.qp.bound_qp import BoundQP, Friction, Scalars, Sliding, state_of
+from dolfinx_mortar.qp.bound_qp import BoundQP, Friction, Scalars, Sliding
 from dolfinx_mortar.qp.held import Solver
 
 
@@ -201,7 +201,10 @@ class Bordered:
     def resistance(self) -> Floats:
         """Stiffness of the last state against q (m, m), -d(F - R x - Q q + e.z)/dq; collective."""
         held, sliding = self._last
-        state = state_of(held, sliding)
+        state = b"state" + held.tobytes()  # never empty
+        if sliding is not None:
+            law = sliding.normal, sliding.direction, sliding.stiffness
+            state += b"".join(part.tobytes() for part in law)
         if not self.comm.allreduce(state == self._state, op=MPI.LAND):
             self._state = state
             Z, E, R = np.zeros_like(self._X), self.scalars.motions, self.scalars.rows

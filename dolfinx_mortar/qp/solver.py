@@ -38,20 +38,6 @@ def check_name(backend: str) -> None:
     arguments.check("qp", backend, arguments.one_of(*available()))
 
 
-def _check_scope(backend: str, qp: BoundQP) -> None:
-    named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
-    for name, given in named.items():
-        if given is not None and backend != ACTIVE_SET:
-            raise ValueError(
-                f"qp is {backend!r}, which is for bounds only: with {name} choose {ACTIVE_SET!r}"
-            )
-    if backend == INTERIOR_POINT and not qp.definite:
-        raise ValueError(
-            f"qp is {backend!r}, which needs a symmetric positive definite matrix: choose "
-            f"{ACTIVE_SET!r}"
-        )
-
-
 def solve(
     qp: BoundQP,
     backend: str = "active-set",
@@ -84,14 +70,22 @@ def solve(
     """
     check_name(backend)
     arguments.check("qp", qp, arguments.instance(BoundQP, "give a BoundQP"))
-    _check_scope(backend, qp)
+    named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
+    given = [name for name, part in named.items() if part is not None]
+    if backend == INTERIOR_POINT and (given or not qp.definite):
+        why = "needs a symmetric positive definite matrix:"
+        if given:
+            why = f"is for bounds only: with {given[0]}"
+        raise ValueError(f"qp is {backend!r}, which {why} choose {ACTIVE_SET!r}")
     validate(qp)
     if qp.scalars is None and (trivial := _nothing_to_do(qp, backend)) is not None:
         return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
     start = nearest(qp) if start_active is None else np.asarray(start_active, dtype=np.int8)
-    start = _possible(qp, start)
+    lower, upper = qp.bounds
+    possible = np.isfinite(np.where(start > 0, upper, lower))
+    start = np.where(possible, start, 0).astype(np.int8)
     before = replace(linear.counts)
     try:
         first = State.create(qp, start, start_sliding, start_kappa)
@@ -166,9 +160,3 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
     active = np.zeros(qp.bounded.size, dtype=np.int8)
     sliding = None if qp.friction is None else 0.0 * qp.friction.rest
     return QPSolution(x, x.copy(), active, kkt, 0, 0, 0, backend, sliding=sliding)
-
-
-def _possible(qp: BoundQP, active: Actives) -> Actives:
-    lower, upper = qp.bounds
-    active = np.where((active > 0) & np.isinf(upper), 0, active)
-    return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -14,11 +15,10 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
-from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
+from dolfinx_mortar.newton_method.contacts import Contacts, Residuals, find_sliders, gap_round_off
 from dolfinx_mortar.newton_method.linearisation import Balance, growth
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.qp import Sliders
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
 from dolfinx_mortar.step_report import Certificate, StepReport
@@ -74,7 +74,7 @@ class StepEnd:
     balance: Balance
     contacts: Contacts
     residual: Residuals  # in the final geometry
-    stiffness: Floats  # (n,) owned diagonal of the last condensed stiffness
+    stiffness: PETSc.Vec  # diagonal of the last condensed stiffness
     overlap: float = 0.0  # that remains from the start
 
     @cached_property
@@ -93,9 +93,7 @@ class StepEnd:
         return find_pull(self.problem, self.contacts, self.residual.limit)
 
 
-def create_certificate(
-    end: StepEnd, balances: tuple[float, float], sliders: Sliders | None = None
-) -> Certificate:
+def create_certificate(end: StepEnd, balances: tuple[float, float]) -> Certificate:
     """Certificate of a step with its results and balances, see `set_results`; collective."""
     problem, report, contacts = end.problem, end.report, end.contacts
     left_out, residual, crossing = end.left_out, end.residual, end.overlaps.get(-1)
@@ -108,15 +106,12 @@ def create_certificate(
     errors = [operator_errors(link, problem.X, length) for link in links if link.pairing] or [
         (0.0, 0.0)
     ]
-    kept = [link.coupling.kept.any(axis=1) for link in links]
-    covered = [link.coupling.coverage.share for link in links]
-    counts = [
-        sum(int(k.sum()) for k in kept),
-        sum(int(((c > 0) & ~k).sum()) for c, k in zip(covered, kept, strict=True)),
-        int(contacts.active.sum()),
-    ]
-    counts = problem.comm.allreduce(np.array(counts), op=MPI.SUM)
-    least = min((c[k].min(initial=1.0) for c, k in zip(covered, kept, strict=True)), default=1.0)
+    counts, least = np.array([0, 0, contacts.active.sum()]), 1.0
+    for link in links:
+        kept, share = link.coupling.kept.any(axis=1), link.coupling.coverage.share
+        counts[:2] += kept.sum(), ((share > 0.0) & ~kept).sum()
+        least = min(least, float(share[kept].min(initial=1.0)))
+    counts = problem.comm.allreduce(counts, op=MPI.SUM)
     return Certificate(
         equilibrium=residual.forces,
         gap=ratio(deepest, length),
@@ -135,14 +130,14 @@ def create_certificate(
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
-        left_out_strain=left_out.relative,
+        left_out_strain=ratio(left_out.strain, left_out.largest),
         left_out_work=left_out.work,
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
         loads=residual.loads,
         crossing=0.0 if crossing is None else max(crossing.share, 0.0),
         **_finite_strain(problem),
-        **({} if sliders is None else _friction(problem.comm, sliders, length)),
+        **_friction(end, length),
     )
 
 
@@ -169,7 +164,11 @@ def _finite_strain(problem: ContactProblem) -> dict[str, float]:
     return found | {"internal_moment": ratio(float(moments.max(initial=0.0)), whole)}
 
 
-def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:
+def _friction(end: StepEnd, facet_length: float) -> dict[str, float]:
+    comm, limits = end.problem.comm, end.balance.limits
+    if limits is None:
+        return {}
+    sliders = find_sliders(limits, end.contacts, end.stiffness, gap_round_off(end.problem.u))
     size, way = (np.linalg.norm(v, axis=1) for v in (sliders.reaction, sliders.slip))
     most, work = sliders.limit, (sliders.reaction * sliders.slip).sum(axis=1)
     sticks = (most > 0.0) & ~sliders.directions()[0].any(axis=1)

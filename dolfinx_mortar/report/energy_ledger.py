@@ -10,7 +10,6 @@ which counts as work of loads.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -60,8 +59,11 @@ class EnergyLedger:
             kinetic = inertia.kinetic_energy()
             total = kinetic + (stored or 0.0)
             impulses: list[list[float] | None] = [None] * len(problem.interfaces)
-            none = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            last = Ledger(total, kinetic, stored or 0.0, *none, total, impulses=impulses)
+            energies = {"kinetic": kinetic, "stored": stored or 0.0, "largest": total}
+            last = Ledger(total, **energies, impulses=impulses)
+        named = problem.terms.named
+        self._damped = [(name, term) for name, term in named if isinstance(term, Damping)]
+        self._still = [one for one in named if not isinstance(one[1], Inertia | Damping)]
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._began, self._heated = problem.owned_u.copy(), False
@@ -90,21 +92,6 @@ class EnergyLedger:
         self.problem.terms.add_forces(named, F)
         return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
 
-    def _loads(self) -> Floats:
-        """Forces of all terms but inertia and damping; collective."""
-        return -self._forces(self._still)
-
-    def _damping(self, velocity: Floats | None = None) -> Floats:
-        """Forces of damping, by default at the end of the step."""
-        terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
-        found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
-        return sum(found, np.zeros(self.inertia.mass.X.shape))
-
-    @property
-    def _still(self) -> list[tuple[str, Term]]:
-        named = self.problem.terms.named
-        return [one for one in named if not isinstance(one[1], Inertia | Damping)]
-
     def _inside(self) -> Floats:
         return self._forces([("solid", self.problem.solid)])
 
@@ -120,8 +107,10 @@ class EnergyLedger:
         """
         problem, inertia = self.problem, self.inertia
         problem.terms.prepare(self._still, begin, end)
-        loads, velocity = self._loads(), inertia.values("velocity")
-        damping = self._damping(velocity)
+        loads, velocity = -self._forces(self._still), inertia.values("velocity")
+        damping = np.zeros_like(velocity)
+        for _, term in self._damped:
+            damping += term.times(velocity)
         forces = loads - self._inside() + sides - damping
         forces += inertia.values("contact") + inertia.values("friction")
         held = problem.supports.owned
@@ -148,7 +137,8 @@ class EnergyLedger:
         assert outcome is not None and supports is not None
         assert outcome.normal is not None and outcome.tangential is not None
         before, u = self._began.reshape(shape), problem.owned_u.reshape(shape)
-        ends = outcome.normal, outcome.tangential, supports.forces, self._loads(), self._damping()
+        acting = -self._forces(self._still), self._forces(self._damped)
+        ends = outcome.normal, outcome.tangential, supports.forces, *acting
         after, motion, du = dict(zip(FORCES, ends, strict=True)), inertia.end(), u - before
         twice = {name: inertia.values(name) + values for name, values in after.items()}
         work = {name: self._sum(0.5 * values * du) for name, values in twice.items()}
@@ -212,7 +202,7 @@ class EnergyLedger:
         stored = self._potential = self.problem.solid.potential() or 0.0
         return stored, potential - stored, heat
 
-    @cached_property
+    @property
     def _driven(self) -> Bools:
         """Nodes (owned nodes, 1) on sides with tools driven by loads."""
         on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
@@ -229,16 +219,14 @@ class EnergyLedger:
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
         """Motion (owned nodes, d) of touching tools at the nodes."""
-        X = self.inertia.mass.X
-        way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
-        links = self.problem.system.unilateral
-        for kept in (True, False):
-            for link in links:
-                some = link.coupling.kept[:, 0] | (not kept)
-                nodes = link.nodes[some & free[link.nodes]]
-                free[nodes] = False
-                x = X[nodes]
-                if (tool := link.interface.tool) is not None:
+        X, way = self.inertia.mass.X, np.zeros_like(before)
+        # a later one overrules: of kept nodes, then of those before in the list
+        for kept in (False, True):
+            for link in reversed(self.problem.system.unilateral):
+                nodes = link.nodes[link.coupling.kept[:, 0] | (not kept)]
+                x, tool = X[nodes], link.interface.tool
+                way[nodes] = 0.0
+                if tool is not None:
                     way[nodes] = tool.way(x + before[nodes], x + after[nodes])
         return way
 

@@ -16,10 +16,11 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import array, check
+from dolfinx_mortar.arguments import array, check, is_integer
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
-from dolfinx_mortar.mortar.surface import check_tag, check_tags
+from dolfinx_mortar.interfaces.interface import check_owned
+from dolfinx_mortar.mortar.surface import check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_conditions, check_problem
@@ -75,7 +76,7 @@ def reaction(
             problem uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
-    problem.check_owned()
+    check_owned(problem.interfaces, problem.supports)
     point = _check_point(problem, about)
     mask = _find(problem, support, facet_tags)
     if problem.committed.supports is None:
@@ -141,58 +142,51 @@ def _check_point(problem: ContactProblem, about: Any) -> Floats:
 
 def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
     """Mask (n, d) of owned components of a support; collective."""
-    comm, held = problem.comm, problem.supports.owned
-    tag = isinstance(support, int | np.integer | str) and not isinstance(support, bool)
+    comm, held, V = problem.comm, problem.supports.owned, problem.V
+    tag = is_integer(support) or isinstance(support, str)
     bcs = [support] if isinstance(support, fem.DirichletBC) else support
     conditions = isinstance(bcs, list | tuple) and any(isinstance(b, fem.DirichletBC) for b in bcs)
-    kind = "tag" if tag else "conditions" if conditions else "None" if support is None else "dofs"
+    kind = "conditions" if conditions else "None" if support is None else "dofs"
     check_same_on_all_ranks(comm, support=str(support) if tag else kind)
     if support is None:
         return held
-    if tag:
-        return held & _tagged(problem, support, facet_tags)
-    dofs: list[Ints] = []
     with raised_together(comm):
-        if conditions:
-            made = check_conditions("support", bcs, problem.V)
-            dofs = [bc.dof_indices()[0] for bc in made]
+        if tag:
+            tags = _tags_of(problem) if facet_tags is None else facet_tags
+            dofs = [_tagged(problem, support, tags)]
+        elif conditions:
+            dofs = [bc.dof_indices()[0] for bc in check_conditions("support", bcs, V)]
         else:
             dofs = [_check_dofs(problem, support)]
-    mask = marked_dofs(problem.V, dofs)[: problem.n]
+    mask = marked_dofs(V, dofs)[: problem.n]
     loose, count = comm.allreduce(np.array([(mask & ~held).sum(), mask.sum()]), op=MPI.SUM)
-    if loose:
+    if tag and not count:
+        own = comm.allgather(np.unique(tags.values).tolist())
+        there = labels(tags, sorted(set(names_of(tags).values()).union(*own)))
+        raise ValueError(f"support is {support!r}: nothing has this tag; there are {there}")
+    if tag and loose == count:
+        raise ValueError(
+            f"support is {label(tags, tag_of(tags, support, 'support'))}, at whose nodes "
+            "problem.bcs prescribe nothing, so that nothing is exerted: give the tag of a support"
+        )
+    if loose and not tag:
         raise ValueError(
             f"support: {loose} of {count} dofs are not prescribed by problem.bcs. Dofs are "
             "d * node + component; locate_dofs_topological(V, ..) returns nodes: give the "
             "Dirichlet condition that is made of them"
         )
-    return mask
+    return mask & held
 
 
-def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
-    mesh, V = problem.V.mesh, problem.V
-    with raised_together(problem.comm):
-        tags = _tags_of(problem) if facet_tags is None else facet_tags
-        check_tags(tags)
-        if not on_same_mesh(tags, mesh):
-            raise ValueError("facet_tags is of another mesh than that of the displacement")
-        tag = tag_of(tags, support, "support")
-        check_tag("support", tag)
-        entities = tags.find(tag)
-    if not problem.comm.allreduce(len(entities), op=MPI.SUM):
-        own = problem.comm.allgather(np.unique(tags.values).tolist())
-        there = labels(tags, sorted(set(names_of(tags).values()).union(*own)))
-        raise ValueError(f"support is {support!r}: nothing has this tag; there are {there}")
-    mesh.topology.create_connectivity(tags.dim, mesh.topology.dim)
-    nodes = fem.locate_dofs_topological(V, tags.dim, entities)
-    dofs = (problem.d * nodes[:, None] + np.arange(problem.d)).ravel()
-    mask = marked_dofs(V, [dofs])[: problem.n]
-    if not problem.comm.allreduce(int((mask & problem.supports.owned).sum()), op=MPI.SUM):
-        raise ValueError(
-            f"support is {label(tags, tag)}, at whose nodes problem.bcs prescribe nothing, so that "
-            "nothing is exerted: give the tag of a support"
-        )
-    return mask
+def _tagged(problem: ContactProblem, support: int | str, tags: MeshTags) -> Ints:
+    """Dofs of all components at the nodes of a tag; not collective."""
+    check_tags(tags)
+    if not on_same_mesh(tags, problem.V.mesh):
+        raise ValueError("facet_tags is of another mesh than that of the displacement")
+    tag = tag_of(tags, support, "support")
+    problem.V.mesh.topology.create_connectivity(tags.dim, problem.V.mesh.topology.dim)
+    nodes = fem.locate_dofs_topological(problem.V, tags.dim, tags.find(tag), remote=False)
+    return np.asarray((problem.d * nodes[:, None] + np.arange(problem.d)).ravel())
 
 
 def _tags_of(problem: ContactProblem) -> MeshTags:

@@ -91,7 +91,8 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
         find = missed_heights if link.interface.smooth else point_heights
         found = find(pairing, operators.segments, u, smooth)
         return _nodal_means(link, pairing, operators.segments, weight, found)
-    assert isinstance(pattern, SidePattern)
+    if not isinstance(pattern, SidePattern):  # of a user's interface
+        return None
     side, faceted = pattern.side, pattern.faceted
     if tool is None or side is None or faceted is None or slave.element.degree > 1 or pattern.nodal:
         return None

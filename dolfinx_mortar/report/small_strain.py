@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.pointwise import largest_stress_lost
@@ -35,97 +35,78 @@ LARGE = 0.05
 class LeftOut:
     """Term that the small strain neglects; zero for other measures."""
 
-    felt: int  # number of bodies above the limits
-    strain: float
-    largest: float
+    strain: float  # largest |H^T H| / 2
+    largest: float  # largest strain
     rotation: float
     work: float  # error of forces: share of the stress work, of the worst body
     lengths: float  # mean |H^T H| / 2 of that body
-    told: int  # body of the note: the worst above the limits, else the one of `steepest`
-    own: tuple[float, float]  # largest strain and rotation in it
-
-    @property
-    def relative(self) -> float:
-        """Largest |H^T H| / 2 over the largest strain."""
-        return ratio(self.strain, self.largest)
+    felt: Floats  # (bodies,) errors over the limits
+    own: Floats  # (2, bodies) largest strain and rotation
 
 
-def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
-    """Rows of `find_left_out` (9, cells)."""
-    volume = weights[cells]
-    points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
-
-    def per_cell(values: Floats) -> Floats:
-        return np.asarray((values.reshape(-1, points) * volume).sum(axis=1))
-
-    def peak(values: Floats) -> Floats:
-        return np.asarray(values.reshape(-1, points).max(axis=1))
-
-    own = np.arange(len(weights), dtype=np.int32)[cells]
-    found = solid.gradients.evaluate(own)
-    shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[own].ravel()]
+def _measure(solid: Solid, cells: Ints) -> tuple[Floats, Floats]:
+    """Sums (6, cells) and maxima (4, cells) for `find_left_out`."""
+    volume, dofmap = solid.fields.weights[cells], solid.stress.function_space.dofmap
+    found = solid.gradients.evaluate(cells)
+    shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells].ravel()]
     stress: Floats = np.asfortranarray(shown)
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
     angles = np.linalg.norm(found.rotation, axis=1)
-    # per cell: under volume constraints point values vary
-    work = np.abs(per_cell(double_contraction(stress, found.seen)))
-    made = [per_cell(double_contraction(stress, E)) for E in (found.left_out, found.turned)]
-    sums = [volume.sum(axis=1), per_cell(size), work, *made]
-    return np.stack([*sums, *(peak(values) for values in (size, strains, seen, angles))])
+    made = [double_contraction(stress, E) for E in (found.seen, found.turned, found.left_out)]
+    at_points = np.stack([np.ones_like(size), size, *made]).reshape(5, *volume.shape)
+    space, left, work, *missed = (at_points * volume).sum(axis=2)
+    work = np.abs(work)  # per cell: under volume constraints point values vary
+    peaks = np.stack([size, strains, angles, seen]).reshape(4, *volume.shape).max(axis=2)
+    return np.stack([space, left, work, work * left / space, *missed]), peaks
 
 
 def find_left_out(problem: ContactProblem) -> LeftOut:
     """Measure strain and rotation at u, after `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
-    body, weights = problem.bodies.of_cells, solid.fields.weights
-    many = CHUNK // weights.shape[1]
-    chunks = [slice(i, i + many) for i in range(0, len(body), many)]
-    parts = [_measure(solid, weights, cells) for cells in chunks]
-    columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)
-    space, left, work, whole, made, size, *highest = columns
-    summed = (space, left, work, work * left / space, made, whole)
-    # without cells NumPy counts in integers
-    sums = np.array([np.bincount(body, column, count) for column in summed], dtype=float)
+    sums, peaks = np.zeros((6, count)), np.zeros((4, count))
+    cells: Ints = np.arange(len(problem.bodies.of_cells), dtype=np.int32)
+    many = CHUNK // solid.fields.weights.shape[1]
+    for some in (cells[first : first + many] for first in range(0, len(cells), many)):
+        body, found = problem.bodies.of_cells[some], _measure(solid, some)
+        for total, values in zip(sums, found[0], strict=True):
+            total += np.bincount(body, values, count)
+        for peak, values in zip(peaks, found[1], strict=True):
+            np.maximum.at(peak, body, values)
     comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
-    peaks = np.zeros((3, count))
-    for peak, values in zip(peaks, highest, strict=True):
-        np.maximum.at(peak, body, values)
-    strains, seen, angles = maximum(comm, *peaks.ravel()).reshape(peaks.shape)
+    space, left, work, felt, *missed = sums
+    strains, *own, seen = maximum(comm, *peaks.ravel()).reshape(peaks.shape)
     # without strain the stress is round-off
-    strained = (seen > HALF_OF_DIGITS * angles) & (sums[2] > 0.0)
-    share, whole = (
-        np.divide(np.abs(sums[k]), sums[2], out=np.zeros(count), where=strained) for k in (4, 5)
-    )
-    means = np.divide(sums[3], sums[2], out=np.zeros(count), where=sums[2] > 0.0)
-    means = np.maximum(means, sums[1] / sums[0])
-    felt = np.maximum(share, 2.0 * means) / LARGEST_SHARE
-    worst = int(np.argmax(felt))
-    largest = float(maximum(comm, size.max(initial=0.0))[0])
-    told = worst if felt[worst] >= 1.0 else int(np.argmax(np.maximum(strains, angles)))
+    strained = (seen > HALF_OF_DIGITS * own[1]) & (work > 0.0)
+    turned, whole = np.divide(np.abs(missed), work, out=np.zeros((2, count)), where=strained)
+    means = np.divide(felt, work, out=np.zeros(count), where=work > 0.0)
+    means = np.maximum(means, left / space)
+    felt = np.maximum(turned, 2.0 * means) / LARGEST_SHARE
+    worst, forces = felt.argmax(), np.maximum(turned, whole / 2.0)
     return LeftOut(
-        felt=int((felt >= 1.0).sum()),
-        strain=largest,
-        largest=float(strains.max()),
-        rotation=float(angles.max()),
-        work=float(max(share[worst], whole[worst] / 2)),
+        strain=float(strains.max()),
+        largest=float(own[0].max()),
+        rotation=float(own[1].max()),
+        work=float(forces[worst]),
         lengths=float(means[worst]),
-        told=told,
-        own=(float(strains[told]), float(angles[told])),
+        felt=felt,
+        own=np.stack(own),
     )
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     """Note if the neglected term or any strain or rotation is large; collective."""
+    felt = found.felt
     large = problem.solid.gradients.small and max(found.largest, found.rotation) > LARGE
-    if not found.felt and not large:
+    if felt.max() < 1.0 and not large:
         return []
-    strain, rotation = found.own
-    others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
+    body = int(np.argmax(felt if felt.max() >= 1.0 else found.own.max(axis=0)))
+    (strain, rotation), others = found.own[:, body], int((felt >= 1.0).sum()) - 1
+    more = f" (and {others} more)" if others > 0 else ""
     seen = (
-        f"{name_of(problem.bodies, [found.told])}{others}: strains of up to {strain:.1%} "
-        f"and rotations of up to {np.degrees(rotation):.1f} degrees"
-        f"{'' if found.felt else ' are no longer small'}; the small strain leaves out "
+        f"{name_of(problem.bodies, [body])}{more}: strains "
+        f"of up to {strain:.1%} and rotations of up to {np.degrees(rotation):.1f} degrees"
+        f"{' are no longer small' if others < 0 else ''}; the small strain leaves out "
         f"up to {found.strain:.2g}, {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.2%} of lengths"
     )

@@ -2,7 +2,6 @@
 """Numbers of load steps as rows of a table or JSON file."""
 
 import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,9 +88,10 @@ def write_summary(
     }
     with raised_together(comm):
         if comm.rank == 0:
-            text = json.dumps(_plain(size | more | {"steps": steps}), indent=1, allow_nan=False)
+            text = json.dumps(size | more | {"steps": steps}, default=_plain)
+            finite = json.loads(text, parse_constant=lambda name: None)
             try:
-                Path(path).write_text(text)
+                Path(path).write_text(json.dumps(finite, indent=1))
             except OSError as error:
                 said = error.strerror or str(error)
                 raise OSError(f"path is {os.fspath(path)!r}: {said}") from error
@@ -104,17 +104,7 @@ def _check_rows(steps: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Value as JSON can hold it.
-
-    >>> _plain({"x": np.array([1.0, np.nan]), "n": np.int32(2), "file": Path("a.xdmf"), 3: None})
-    {'x': [1.0, None], 'n': 2, 'file': 'a.xdmf', '3': None}
-    """
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
+    """Arrays as lists, mappings as dictionaries, others as text."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, int | str) else str(value)
+        return dict(value)
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -36,7 +36,17 @@ class CellFunctions:
         """Integrate over `dx`, with the coordinates if `affine`; collective."""
         m = 1 + domain.geometry.dim * affine
         self.space = fem.functionspace(domain, ("DG", 0, (m,)))
-        self.basis = _create_basis(self.space)
+        self.basis = ufl.as_vector([1.0])
+        if affine:
+            d, place = domain.topology.dim, fem.Function(self.space)
+            layout = domain.topology.index_map(d)
+            cells = np.arange(layout.size_local + layout.num_ghosts, dtype=np.int32)
+            values = place.x.array.reshape(-1, m)
+            at = self.space.dofmap.list[cells, 0]
+            values[at, 0] = domain.h(d, cells)
+            values[at, 1:] = mesh.compute_midpoints(domain, d, cells)[:, : m - 1]
+            offset = ufl.SpatialCoordinate(domain) - ufl.as_vector([place[i] for i in range(1, m)])
+            self.basis = ufl.as_vector([1.0, *(offset[i] / place[0] for i in range(m - 1))])
         products = fem.functionspace(domain, ("DG", 0, (m, m)))
         self._tests = ufl.TestFunction(self.space), ufl.TestFunction(products)
         self._vectors = create_vector(self.space), create_vector(products)
@@ -53,12 +63,8 @@ class CellFunctions:
         """Return sum_k c_k N_k."""
         return ufl.dot(coefficients, self.basis)
 
-    def first(self, density: Expr) -> Expr:
-        """Form of `vectors`: int density, then zeros."""
-        return density * self._tests[0][0]
-
     def tested(self, density: Expr) -> Expr:
-        """Form of `vectors`: int density N_k."""
+        """Form of `vectors`: int density N_k, N_0 = 1."""
         return density * ufl.dot(self._tests[0], self.basis)
 
     def paired(self, density: Expr) -> Expr:
@@ -80,21 +86,6 @@ class CellFunctions:
     def values(self, f: fem.Function) -> Floats:
         """View of the coefficients (owned cells, m)."""
         return np.asarray(f.x.array[: self.inverse[:, 0].size].reshape(-1, self.size))
-
-
-def _create_basis(space: fem.FunctionSpace) -> Expr:
-    domain, m = space.mesh, space.dofmap.bs
-    if m == 1:
-        return ufl.as_vector([1.0])
-    d, place = domain.topology.dim, fem.Function(space)
-    layout = domain.topology.index_map(d)
-    cells = np.arange(layout.size_local + layout.num_ghosts, dtype=np.int32)
-    values = np.empty((len(cells), m))
-    values[:, 0] = domain.h(d, cells)
-    values[:, 1:] = mesh.compute_midpoints(domain, d, cells)[:, : m - 1]
-    place.x.array.reshape(-1, m)[space.dofmap.list[cells, 0]] = values
-    x = ufl.SpatialCoordinate(domain)
-    return ufl.as_vector([1.0, *((x[i] - place[1 + i]) / place[0] for i in range(m - 1))])
 
 
 class RowsOfCells:

@@ -14,7 +14,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
-from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
+from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.sources import (
     Followed,
@@ -48,15 +48,13 @@ class Eigenstrain(Followed):
         """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
         domain = u.function_space.mesh
         d, full = domain.geometry.dim, any(value.ufl_shape for _, value, _ in parts)
-        shape = (len(COMPONENTS[d]),) if full else ()
-        function = point_function(domain, degree, shape, "eigenstrain")
+        function = point_function(domain, degree, (3, 3) if full else (), "eigenstrain")
         sources: list[Source] = []
         # components that must vanish: of the skew part, in the plane also yz and xz
         self._vanishing: list[Source | None] = []
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
-            stored = to_components(tensor, shape[0]) if shape else value
-            sources.append(create_source(cells, Part(name, function, stored)))
+            sources.append(create_source(cells, Part(name, function, tensor if full else value)))
             zero = None
             if value.ufl_shape:
                 terms = [value[i, j] - value[j, i] for i, j in ((0, 1), (1, 2), (0, 2))]
@@ -113,25 +111,21 @@ def create_eigenstrain(
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
-    for name, value, cells in _parts(domain, given, cell_tags):
+    imap = domain.topology.index_map(domain.topology.dim)
+    every = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+    of_cells = [("eigenstrain", given, every)]
+    if isinstance(given, Mapping):
+        by_tag, tags = by_cells(domain, cell_tags, given, "eigenstrain")
+        of_cells = [
+            (f"eigenstrain[{label(cell_tags, tag)}]", value, every[tags == tag])
+            for tag, value in by_tag.items()
+        ]
+    for name, value, cells in of_cells:
         with raised_together(domain.comm):
             parts.append((name, _as_expression(u, name, value), cells))
     found = Eigenstrain(u, parts, degree)
     found.follow()
     return found
-
-
-def _parts(
-    domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
-) -> list[tuple[str, Any, Ints]]:
-    imap = domain.topology.index_map(domain.topology.dim)
-    if not isinstance(given, Mapping):
-        return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
-    parts, values = by_cells(domain, cell_tags, given, "eigenstrain")
-    return [
-        (f"eigenstrain[{label(cell_tags, tag)}]", value, np.flatnonzero(values == tag).astype("i4"))
-        for tag, value in parts.items()
-    ]
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:

@@ -4,9 +4,7 @@
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property, reduce
-from operator import add
-from typing import Any
+from functools import cached_property
 
 from petsc4py import PETSc
 
@@ -16,12 +14,11 @@ import basix
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.jit import get_options
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
-from dolfinx_mortar.materials.tensor import GRADIENT
+from dolfinx_mortar.materials.tensor import GRADIENT, contract
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Integral, Region
@@ -91,13 +88,13 @@ class Forms:
         tangent = _tangent(u, by_moduli, kinematics, integral)
         with raised_together(V.mesh.comm):
             elastic = [ufl.inner(elastic_response(r.law, along, r.symbols), along) for r in regions]
-        gram = _gradient_gram(V)
-        scale = integral(integral.weight * _element_force(r.stress, gram) for r in responses)
+        scale = integral(integral.weight * _element_force(V, r.stress) for r in responses)
         energies = [r.energy for r in responses if r.energy is not None]
         together = [residual, integral(elastic), scale]
         together += [integral(energies)] if len(energies) == len(regions) else []
-        self.residual, self.elastic_norm, self.element_force, *energy = compat.compile_together(
-            *together, compiler=unrolled(V.mesh.topology.cell_name())
+        options = {"cffi_extra_compile_args": unrolled(V.mesh.topology.cell_name())}
+        self.residual, self.elastic_norm, self.element_force, *energy = fem.form(
+            together, jit_options=options
         )
         self.energy: fem.Form | None = energy[0] if energy else None
         self.tangent = MatrixForm(fem.form(tangent, jit_options=in_any_order()))
@@ -145,8 +142,8 @@ class CommittedData:
         self._u, self._responses, self._integral = u, responses, integral
         self._eigenstrain = eigenstrain
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
-        parameters = [region.parameters for region in integral.regions]
-        self._functions = [*self.strained, *(one.function for one in parameters if one.varying)]
+        varying = [region.function for region in integral.regions if region.varying]
+        self._functions = [*self.strained, *varying]
         self._kept: list[Floats] | None = None
         for values in self.complete()[: len(self.strained)]:
             values[:] = 0.0
@@ -224,12 +221,7 @@ def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Resp
         for entry in entries:
             unit = [[1.0 if (i, j) == entry else 0.0 for j in range(3)] for i in range(3)]
             columns.append(response.change(ufl.as_tensor(unit)))
-        rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
-        for a, (i, j) in enumerate(entries):
-            parts = [columns[max(a, b)][entries[min(a, b)]] for b in range(len(entries))]
-            terms = (part * direction[at] for part, at in zip(parts, entries, strict=True))
-            rows[i][j] = reduce(add, terms)
-        return ufl.as_tensor(rows)
+        return contract(entries, lambda a, b: columns[b][entries[a]], direction, symmetric=False)
 
     return dataclasses.replace(response, change=change)
 
@@ -251,19 +243,13 @@ def _tangent(
     return integral(densities)
 
 
-def _gradient_gram(V: fem.FunctionSpace) -> Floats:
-    """Return sum_a grad N_a (x) grad N_a (d, d) at the reference midpoint, times the volume."""
-    element = V.element.basix_element
+def _element_force(V: fem.FunctionSpace, stress: Expr) -> Expr:
+    """Density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell| at its midpoint."""
+    element, domain = V.element.basix_element, V.mesh.ufl_domain()
     d = V.mesh.topology.dim
-    midpoint, weight = map(np.asarray, basix.make_quadrature(element.cell_type, 1))
+    midpoint, (weight,) = map(np.asarray, basix.make_quadrature(element.cell_type, 1))
     gradients = element.tabulate(1, midpoint)[1:, 0, :, 0].reshape(d, -1)
-    return float(weight[0]) * gradients @ gradients.T
-
-
-def _element_force(stress: Any, gram: Floats) -> Any:
-    """Density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell|."""
-    domain = ufl.domain.extract_unique_domain(stress)
-    d = gram.shape[0]
+    gram = weight * gradients @ gradients.T
     s = ufl.as_tensor([[stress[i, j] for j in range(d)] for i in range(d)])
     t = s * ufl.transpose(ufl.JacobianInverse(domain))
     return abs(ufl.JacobianDeterminant(domain)) * ufl.inner(t * ufl.as_matrix(gram.tolist()), t)

@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import tensor_of, to_components
+from dolfinx_mortar.materials.tensor import tensor_of
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function
@@ -127,18 +127,18 @@ class PointGradients:
     ) -> None:
         """Compile for the points and components of the stress; collective."""
         self._space, self.small = stress.function_space, small
-        size, strain, g = self._space.dofmap.bs, kinematics.strain(u), ufl.grad(u)
+        strain, g = kinematics.strain(u), ufl.grad(u)
         turns = TURNS[2:] if g.ufl_shape[0] == 2 else TURNS
         rotation = [(g[i, j] - g[j, i]) / 2 for i, j in turns]
-        parts = [to_components(strain, size), ufl.as_vector(rotation)]
+        parts = [strain, ufl.as_vector(rotation)]
         if small:
             rows: list[list[Any]] = [[0] * 3 for _ in range(3)]
             for (i, j), w in zip(turns, rotation, strict=True):
                 rows[i][j], rows[j][i] = w, -w
             W = ufl.as_tensor(rows)
-            parts += [to_components(ufl.transpose(H) * H / 2, size) for H in (strain + W, W)]
+            parts += [ufl.transpose(H) * H / 2 for H in (strain + W, W)]
         if eigenstrain is not None:
-            parts.append(to_components(strain - eigenstrain.tensor, size))
+            parts.append(strain - eigenstrain.tensor)
         named = (Part("strain and rotation", stress, part) for part in parts)
         self._source = create_source(np.arange(0, dtype=np.int32), *named)
 

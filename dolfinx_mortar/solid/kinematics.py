@@ -120,16 +120,6 @@ def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others:
     )
 
 
-def _circumference(x: Any) -> Any:
-    """Forces are those of the whole ring."""
-    return 2 * np.pi * x[0]
-
-
-def _along_the_axis(x: Floats) -> dict[str, Floats]:
-    """Rigid motion of a ring."""
-    return {"translation along the axis": np.tile([0.0, 1.0], (len(x), 1))}
-
-
 def _unit(x: Any) -> int:
     """Forces are per thickness in the plane."""
     return 1
@@ -161,8 +151,8 @@ axisymmetric = _of_gradient(
     "axisymmetric",
     _ring,
     2,
-    weight=_circumference,
-    rigid_motions=_along_the_axis,
+    weight=lambda x: 2 * np.pi * x[0],  # forces are those of the whole ring
+    rigid_motions=lambda x: {"translation along the axis": np.tile([0.0, 1.0], (len(x), 1))},
     radius=0,
     # u_r / r is small compared with the gradients; without these, iterations grow with the mesh
     nearly_rigid=translations_and_rotations,
@@ -175,11 +165,6 @@ KINEMATICS = {
 """What users may choose by name."""
 
 
-def kinematics_of_dimension(d: int) -> Kinematics:
-    """Plane strain for d = 2 and the spatial kinematics for d = 3."""
-    return plane_strain if d == 2 else spatial
-
-
 def choose_kinematics(given: Any, d: int) -> Kinematics:
     """Kinematics by name or as given; the default of the dimension d for None.
 
@@ -187,7 +172,7 @@ def choose_kinematics(given: Any, d: int) -> Kinematics:
         ValueError: for an unknown name, or kinematics of another dimension.
     """
     if given is None:
-        return kinematics_of_dimension(d)
+        given = plane_strain if d == 2 else spatial
     names = [name for name, k in KINEMATICS.items() if k.dimension == d]
     choices = f"choose {' or '.join(map(repr, names))}, or give a Kinematics"
     chosen = KINEMATICS.get(given) if isinstance(given, str) else given

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from types import SimpleNamespace
 from typing import Any, TypeVar
 
 from mpi4py import MPI
@@ -29,7 +28,7 @@ from dolfinx_mortar.materials.protocol import (
     wrong_values,
 )
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import from_components, to_components
+from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.sources import (
     Followed,
@@ -49,51 +48,51 @@ T = TypeVar("T")
 UNTAGGED = int(np.iinfo(np.int32).min)
 
 
-class ParameterTable(Followed):
-    """Parameters of a law, `symbols` in UFL, per cell or point."""
+class Region(Followed):
+    """The cells of one law, and its parameters.
+
+    Attributes:
+        law: the law.
+        parts: materials, each with its local cells.
+        cells: int32 (m,), local cells, ghosts included.
+        function: parameters per cell or point.
+        names: of the parameters.
+        symbols: the parameters by name, as UFL.
+    """
 
     def __init__(
-        self,
-        u: fem.Function,
-        law: Law,
-        materials: Sequence[Any],
-        cells: Sequence[Ints],
-        degree: int,
+        self, u: fem.Function, law: Law, parts: Sequence[tuple[Any, Ints]], degree: int
     ) -> None:
         """Create the parameters of materials of one law, for `follow`; collective.
 
         Args:
             u: displacement, on which no parameter may depend.
-            cells: local cells of each material, ghosts included.
+            parts: see above.
             degree: of the quadrature of the solid.
 
         Raises:
             ValueError: on all ranks, if a parameter depends on u, another mesh or other points.
         """
-        self._law, self._cells = law, np.sort(np.concatenate(cells))
-        self.names = names = list(named_parameters(materials[0]))
+        self.law, self.parts, self.mesh = law, parts, u.function_space.mesh
+        self.cells = np.sort(np.concatenate([cells for _, cells in parts]))
+        self.names = names = list(named_parameters(parts[0][0]))
         given = [
-            (on, list(named_parameters(material).values()))
-            for material, on in zip(materials, cells, strict=True)
+            (cells, i, value)
+            for material, cells in parts
+            for i, value in enumerate(named_parameters(material).values())
         ]
-        moving = [
-            (on, i, value)
-            for on, values in given
-            for i, value in enumerate(values)
-            if isinstance(value, Expr)
-        ]
+        moving = [(cells, i, value) for cells, i, value in given if isinstance(value, Expr)]
         for _, i, value in moving:
             check_source(u, f"{law.name}: {names[i]}", value)
         width = max(len(names), 1)  # a law may have no parameter
         if all(is_cellwise_constant(value) for _, _, value in moving):
-            space = fem.functionspace(u.function_space.mesh, ("DG", 0, (width,)))
-            function = fem.Function(space)
+            function = fem.Function(fem.functionspace(self.mesh, ("DG", 0, (width,))))
         else:
-            function = point_function(u.function_space.mesh, degree, (width,))
-        dofmap = function.function_space.dofmap
-        for on, values in given:
-            row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
-            function.x.array.reshape(-1, width)[dofmap.list[on]] = row
+            function = point_function(self.mesh, degree, (width,))
+        points, table = function.function_space.dofmap.list, function.x.array.reshape(-1, width)
+        for cells, i, value in given:
+            if not isinstance(value, Expr):
+                table[points[cells], i] = value
         sources = [
             create_source(on, Part(f"{law.name}: {names[i]}", function, value, slice(i, i + 1)))
             for on, i, value in moving
@@ -101,7 +100,7 @@ class ParameterTable(Followed):
         super().__init__(function, sources)
         self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
-    def values(self, cells: Ints, points: int) -> dict[str, Floats]:
+    def parameters(self, cells: Ints, points: int) -> dict[str, Floats]:
         """Parameters by name, (cells * points,) each."""
         dofmap = self.function.function_space.dofmap
         table = self.function.x.array.reshape(-1, dofmap.bs)[dofmap.list[cells]]
@@ -114,12 +113,12 @@ class ParameterTable(Followed):
         V = self.function.function_space
         domain, points = V.mesh, V.dofmap.list.shape[1]
         size = domain.topology.index_map(domain.topology.dim).size_local
-        owned = self._cells[self._cells < size]
-        values = self.values(owned, points)
+        owned = self.cells[self.cells < size]
+        values = self.parameters(owned, points)
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
             if len(owned):  # users' rules may fail on empty arrays
-                law = self._law
+                law = self.law
                 wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
         for rule in rules[:1]:
@@ -129,40 +128,9 @@ class ParameterTable(Followed):
             places = domain.comm.allgather(middle_of(domain, owned[bad][0]) if bad.any() else "")
             numbers = _extent(domain.comm, {name: v[where] for name, v in values.items()}, rule)
             raise ValueError(
-                f"{self._law.name}: {rule} does not hold in {count} cells, such as the one "
+                f"{self.law.name}: {rule} does not hold in {count} cells, such as the one "
                 f"around {next(filter(None, places))}; there {numbers}."
             )
-
-
-def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
-    parts = []
-    for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
-        low = np.nanmin(values[name], initial=np.inf)
-        high = np.nanmax(values[name], initial=-np.inf)
-        low, high = comm.allreduce(float(low), op=MPI.MIN), comm.allreduce(float(high), op=MPI.MAX)
-        undefined = comm.allreduce(bool(np.isnan(values[name]).any()), op=MPI.LOR)
-        parts.append(f"{name} is NaN" if undefined else f"{name} is {low:.6g} to {high:.6g}")
-    return ", ".join(parts)
-
-
-@dataclass(frozen=True)
-class Region:
-    """The cells of one law."""
-
-    law: Law
-    cells: np.ndarray  # int32 (m,), local cells, ghosts included
-    parameters: ParameterTable
-    parts: tuple[tuple[Any, Ints], ...] = ()
-
-    @property
-    def mesh(self) -> mesh.Mesh:
-        """The mesh."""
-        return self.parameters.function.function_space.mesh
-
-    @property
-    def symbols(self) -> SimpleNamespace:
-        """The parameters by name, as UFL."""
-        return self.parameters.symbols
 
     def tensors(self, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
         """Internal variables in UFL by name, () or (3, 3)."""
@@ -177,7 +145,7 @@ class Region:
             return {}
         where, q = f"{self.law.name}.output", len(cells) * points
         try:
-            found = self.law.output(state, grouped(self.parameters.values(cells, points)))
+            found = self.law.output(state, grouped(self.parameters(cells, points)))
             fields = {name: np.asarray(f, dtype=float) for name, f in dict(found or {}).items()}
         except Exception as error:
             raise ValueError(
@@ -192,6 +160,17 @@ class Region:
                     f"must be ({q},) or ({q}, components)."
                 )
         return fields
+
+
+def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
+    parts = []
+    for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
+        low = np.nanmin(values[name], initial=np.inf)
+        high = np.nanmax(values[name], initial=-np.inf)
+        low, high = comm.allreduce(float(low), op=MPI.MIN), comm.allreduce(float(high), op=MPI.MAX)
+        undefined = comm.allreduce(bool(np.isnan(values[name]).any()), op=MPI.LOR)
+        parts.append(f"{name} is NaN" if undefined else f"{name} is {low:.6g} to {high:.6g}")
+    return ", ".join(parts)
 
 
 def create_regions(
@@ -226,12 +205,9 @@ def create_regions(
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, kind[2:], kind[1])):
         chosen = alike[kind]
         law = given[chosen[0]][1]
-        own = [given[i][0] for i in chosen]
-        cells = [np.flatnonzero(choice == i).astype(np.int32) for i in chosen]
-        table = ParameterTable(u, law, own, cells, degree)
-        table.follow()
-        every = np.sort(np.concatenate(cells))
-        regions.append(Region(law, every, table, tuple(zip(own, cells, strict=True))))
+        parts = [(given[i][0], np.flatnonzero(choice == i).astype(np.int32)) for i in chosen]
+        regions.append(Region(u, law, parts, degree))
+        regions[-1].follow()
     return regions
 
 
@@ -259,18 +235,11 @@ def create_evaluations(
     stress: fem.Function,
 ) -> list[Source]:
     """Compile stress and new internal variables of all regions; collective."""
-    size, evaluations = stress.function_space.dofmap.bs, []
+    evaluations = []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
         given += [(name, staged[name], value) for name, value in response.updated.items()]
-        parts = [
-            Part(
-                f"{region.law.name}: {name}",
-                target,
-                to_components(value, size) if value.ufl_shape else value,
-            )
-            for name, target, value in given
-        ]
+        parts = (Part(f"{region.law.name}: {name}", f, value) for name, f, value in given)
         evaluations.append(create_source(region.cells, *parts))
     return evaluations
 
@@ -363,15 +332,12 @@ class Integral:
 
     def __call__(self, densities: Iterable[Expr]) -> ufl.Form:
         """Sum of the integrals."""
-        weight, pairs = self.weight, zip(densities, self._measures(), strict=True)
-        return reduce(add, (weight * density * dx for density, dx in pairs))
-
-    def _measures(self) -> list[ufl.Measure]:
         regions, domain = self.regions, self.regions[0].mesh
         dx = measure(domain, self.degree)
-        if len(regions) == 1:
-            return [dx]
         owned = domain.topology.index_map(domain.topology.dim).size_local
         # not the user's tags, which must not enter the compiled code
-        dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
-        return [dx(i) for i in range(len(regions))]
+        cells = [(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)]
+        parts = dx(subdomain_data=cells)
+        measures = [parts(i) for i, _ in cells] if len(cells) > 1 else [dx]
+        pairs = zip(densities, measures, strict=True)
+        return reduce(add, (self.weight * density * on for density, on in pairs))

@@ -17,7 +17,6 @@ K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,14 +26,13 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
-from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
+from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
 from dolfinx_mortar.solid.term import assemble, create_vector
 from dolfinx_mortar.spaces import set_owned
@@ -54,16 +52,7 @@ def create_dilatation(
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics
-    check_reducible(u.function_space, integral.regions, kinematics, integral.degree)
-    if kinematics.finite:
-        return MeanVolume(u, integral)
-    return MeanDilatation(u, integral, eigenstrain)
-
-
-def check_reducible(
-    V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
-) -> None:
-    """Raise a ValueError unless a volumetric part can be reduced."""
+    V, regions, degree = u.function_space, integral.regions, integral.degree
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     laws = [r.law for r in regions]
     whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
@@ -87,6 +76,9 @@ def check_reducible(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
+    if kinematics.finite:
+        return MeanVolume(u, integral)
+    return MeanDilatation(u, integral, eigenstrain)
 
 
 class MeanDilatation:
@@ -102,11 +94,8 @@ class MeanDilatation:
         self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
         trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
         size, dx = integral.weight * test, measure(V.mesh, integral.degree)
-        B, volumes, self._modulus = compat.compile_together(
-            trace * size * dx,
-            size * dx,
-            integral(bulk_modulus_of(r) * test for r in integral.regions),
-        )
+        modulus = integral(bulk_modulus_of(r) * test for r in integral.regions)
+        B, volumes, self._modulus = fem.form([trace * size * dx, size * dx, modulus])
         self._B = RowsOfCells(B, 1)
         self._B.assemble()
         self._volumes = assemble(volumes, self._vector).copy()
@@ -213,13 +202,15 @@ class MeanVolume:
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
-        B, self._volume_form, self._bulk_form, *self._energy_forms = compat.compile_together(
-            cells.tested(change) * integral.weight * dx,
-            cells.tested(J) * integral.weight * dx,
-            integral(cells.paired(bulk_modulus_of(r)) for r in regions),
-            integral(map(cells.first, energy)),
-            integral(map(cells.tested, slope)),
-            integral(map(cells.paired, stiffness)),
+        B, self._volume_form, self._bulk_form, *self._energy_forms = fem.form(
+            [
+                cells.tested(change) * integral.weight * dx,
+                cells.tested(J) * integral.weight * dx,
+                integral(cells.paired(bulk_modulus_of(r)) for r in regions),
+                integral(map(cells.tested, energy)),
+                integral(map(cells.tested, slope)),
+                integral(map(cells.paired, stiffness)),
+            ]
         )
         self._B = RowsOfCells(B, cells.size)
 

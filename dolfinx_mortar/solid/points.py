@@ -247,7 +247,6 @@ class EnergyDensities:
         self,
         regions: Sequence[Region],
         responses: Sequence[Response],
-        domain: mesh.Mesh,
         cell_tags: mesh.MeshTags | None,
         degree: int,
         *,
@@ -267,8 +266,8 @@ class EnergyDensities:
                 "which stored and dissipated energies are parts: give the law an energy, or leave "
                 "energies out"
             )
-        self.stored = point_function(domain, degree, (), STORED)
-        self._of_volume, self._mesh, self._cell_tags = of_volume, domain, cell_tags
+        self._of_volume, self._mesh, self._cell_tags = of_volume, regions[0].mesh, cell_tags
+        self.stored = point_function(self._mesh, degree, (), STORED)
         self._sources = [
             create_source(region.cells, Part(f"{name}: energy", self.stored, found.energy))
             for region, (name, found) in zip(regions, pairs, strict=True)
@@ -343,7 +342,7 @@ class PointState:
         self.staged = {name: f.copy() for name, f in self.committed.items()}
         self.stress = point_function(domain, degree, (3, 3), "stress")
         self.shown: dict[str, fem.Function] = {}
-        self.followed: list[Followed] = [region.parameters for region in regions]
+        self.followed: list[Followed] = [*regions]
         self.followed += [] if eigenstrain is None else [eigenstrain]
         self._comm = domain.comm
 

@@ -16,7 +16,7 @@ from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
-from dolfinx_mortar.materials.protocol import Law, grouped
+from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import (
     Response,
     respond,
@@ -27,6 +27,7 @@ from dolfinx_mortar.materials.tensor import (
     COMPONENTS,
     GRADIENT,
     INDEX,
+    contract,
     stored,
     tensor_of,
     upper_triangle,
@@ -59,7 +60,7 @@ class PointValuesOfRegion(ABC):
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
-        self._inputs = [region.parameters.function, *self._committed.values(), *inputs]
+        self._inputs = [region.function, *self._committed.values(), *inputs]
         self._seen: list[Floats] = []
         self._create(strain, degree)
 
@@ -157,14 +158,20 @@ class PointwiseFields(PointValuesOfRegion):
         self._entries = GRADIENT[d] if self._finite else INDEX[: len(COMPONENTS[d])]
         size = len(self._entries)
         self._stress = point_function(domain, degree, (size,))
+        self._points = self._stress.function_space.dofmap.list.shape[1]
         self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
-        part = Part(f"{law.name}: the strain", self._stress, self._wanted(strain))
+        wanted = self._wanted(strain)
+        nine = ufl.as_vector([wanted[i, j] for i in range(3) for j in range(3)])
+        part = Part(f"{law.name}: the strain", self._stress, nine)
         self._strain = create_source(self.region.cells, part)
         self._new = {name: f.copy() for name, f in self._committed.items()}
-        new, stress = self.region.tensors(self._new), self._tensor(list(self._stress))
-        self.response = Response(stress, self._energy, new, self._change)
+        new, rows = self.region.tensors(self._new), [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
+        for (i, j), entry in zip(self._entries, self._stress, strict=True):
+            rows[i][j] = entry
+            rows[j][i] = rows[j][i] if self._finite else entry
+        self.response = Response(ufl.as_tensor(rows), self._energy, new, self._change)
 
     def _create_law(self) -> tuple[bool, bool]:
         """Whether the law is one of F, and whether it has a potential."""
@@ -172,42 +179,28 @@ class PointwiseFields(PointValuesOfRegion):
         return finite, finite and self.region.law.energy is not None
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Expressions evaluated at the points before the law."""
-        return ufl.as_vector([strain[entry] for entry in self._entries])
-
-    def _tensor(self, entries: Sequence[Expr]) -> Expr:
-        rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
-        for (i, j), entry in zip(self._entries, entries, strict=True):
-            rows[i][j] = entry
-            if not self._finite:
-                rows[j][i] = entry
-        return ufl.as_tensor(rows)
+        """Tensor evaluated at the points before the law."""
+        return strain
 
     def _change(self, direction: Expr) -> Expr:
         number = {pair: k for k, pair in enumerate(upper_triangle(len(self._entries)))}
-        sums = []
-        for a in range(len(self._entries)):
-            terms = []
-            for b, (i, j) in enumerate(self._entries):
-                times = 1 if self._finite or i == j else 2
-                upper = self._tangent[number[min(a, b), max(a, b)]]
-                terms.append(upper * times * direction[i, j])
-            sums.append(sum(terms))
-        return self._tensor(sums)
+
+        def moduli(a: int, b: int) -> Expr:
+            return self._tangent[number[a, b]]
+
+        return contract(self._entries, moduli, direction, symmetric=not self._finite)
+
+    def _measured(self) -> Floats:
+        return np.ascontiguousarray(self._strain.evaluate()[0]).reshape(-1, 3, 3)
 
     def _evaluate(self) -> None:
-        region, (rows, columns) = self.region, np.array(self._entries).T
-        points = self._stress.function_space.dofmap.list.shape[1]
-        strain = np.zeros((len(region.cells) * points, 3, 3))
-        found = self._strain.evaluate()[0].reshape(-1, len(rows))
-        strain[:, rows, columns] = found
+        region, strain = self.region, self._measured()
         if self._finite:
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
-        else:
-            strain[:, columns, rows] = found
-        p = grouped(region.parameters.values(region.cells, points))
+        p = region.parameters(region.cells, self._points)
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
+        rows, columns = np.array(self._entries).T
         stress = answer.stress
         self._set(self._stress, stress[:, rows, columns] if self._finite else stress)
         self._set(self._tangent, packed(answer.tangent, self._entries))
@@ -220,8 +213,7 @@ class PointwiseFields(PointValuesOfRegion):
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
         wrong = np.flatnonzero(bad)
         if wrong.size:
-            points = self._stress.function_space.dofmap.list.shape[1]
-            cell, point = divmod(int(wrong[0]), points)
+            cell, point = divmod(int(wrong[0]), self._points)
             method = ".update" if self.region.law.update else ""
             raise ValueError(
                 f"{self.region.law.name}{method} {what} at {wrong.size} integration points, first "
@@ -245,27 +237,25 @@ class LogarithmicFields(PointwiseFields):
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        names, d = self.region.parameters.names, self._mesh.geometry.dim
+        names, d = self.region.names, self._mesh.geometry.dim
         law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
-        """F - I, row by row: strains may be far below round-off of 1."""
+        """F - I: strains may be far below round-off of 1."""
         u = self._inputs[1 + len(self._committed)]
-        H = ufl.derivative(strain, u, u)
-        return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
+        return ufl.derivative(strain, u, u)
 
     def _evaluate(self) -> None:
-        H = np.ascontiguousarray(self._strain.evaluate()[0]).reshape(-1, 3, 3)
+        H = self._measured()
         if self.normal is not None:
             self._law.find_normal(self._start, H)
         P, A, psi = self._law.response(self._start, H)
-        if not np.isfinite(P.sum() + A.sum()):
-            F = H + np.eye(3)
-            self._judge(np.asarray(np.linalg.det(F) <= 0.0), F, INSIDE_OUT)
-            whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
-            self._judge(np.logical_not(whole), F, UNDEFINED)
+        if not np.isfinite(P.sum() + A.sum()):  # faster than a test of each
+            F, undefined = H + np.eye(3), ~np.isfinite(P.sum(axis=1) + A.sum(axis=1))
+            self._judge(np.linalg.det(F) <= 0.0, F, INSIDE_OUT)
+            self._judge(undefined, F, UNDEFINED)
         if self.normal is not None:
             self._law.condense(P, A)
             self._set(self.normal, H[:, 2, 2])
@@ -286,9 +276,9 @@ class LogarithmicFields(PointwiseFields):
         return self._law.stress_lost(self._start, self._gradients)
 
     def _begin(self) -> None:
-        q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
-        p = self.region.parameters.values(self.region.cells, points)
-        self._start = self._law.start(q * points, self._state(), p)
+        p = self.region.parameters(self.region.cells, self._points)
+        q = self.region.cells.size * self._points
+        self._start = self._law.start(q, self._state(), p)
 
 
 def create_point_values(

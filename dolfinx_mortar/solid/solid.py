@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import FLAG, check, instance, integer
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.response import with_normal_stretch
+from dolfinx_mortar.materials.response import with_normal
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import Forms, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, check_finite
@@ -159,7 +159,7 @@ class Solid(Term):
             responses = [dilatation.complete(*pair) for pair in pairs]
         whole = measured
         if finite and self.kinematics.plane_stress:
-            whole = with_normal_stretch(measured, normal_strain(points.found))
+            whole = with_normal(measured, 1 + normal_strain(points.found))
         self.volumes = Volumes(u, whole, degree) if finite else None
         self.gradients = PointGradients(
             *(u, self.kinematics, self.eigenstrain, self.stress),
@@ -168,7 +168,7 @@ class Solid(Term):
         points.shown |= {} if self.volumes is None else {"J": self.volumes.J}
         if DISSIPATED in points.staged:
             volume = None if dilatation is None else dilatation.densities
-            of = self.regions, responses, self.mesh, cell_tags, degree
+            of = self.regions, responses, cell_tags, degree
             points.densities = EnergyDensities(*of, of_volume=volume)
             points.shown[STORED] = points.densities.stored
         shown, weight = points.staged | points.shown, self.kinematics.weight

@@ -17,7 +17,7 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.materials.tensor import COMPONENTS
+from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
 from dolfinx_mortar.spaces import check_real
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
@@ -29,13 +29,15 @@ class Part:
 
     name: str  # of the user's argument, for messages
     function: fem.Function
-    value: Expr  # scalar or vector of components
+    value: Expr  # scalar, vector of components or 3x3 tensor
     components: slice = slice(None)
 
     @property
     def entries(self) -> list[Expr]:
         """Components of the value."""
         value = self.value
+        if value.ufl_shape == (3, 3):
+            value = to_components(value, self.function.function_space.dofmap.bs)
         return [value[i] for i in range(*value.ufl_shape)] if value.ufl_shape else [value]
 
 

@@ -9,15 +9,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.heat import HEAT, Heat
-from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import LoadStep
-from dolfinx_mortar.steps.ramp import read_ramps
-from dolfinx_mortar.steps.walk import Loading, Solves, walk
-from dolfinx_mortar.terms.inertia import Inertia
+from dolfinx_mortar.steps.walk import Solves, read_way, walk
 
 
 def load_steps(
@@ -84,23 +80,13 @@ def load_steps(
             error is the ``__context__``.
         NewtonNotConverged: if the smallest step fails, too; the converged parts are committed.
     """
-    check_problem(problem, ContactProblem)
-    check_same_on_all_ranks(problem.comm, on_time=on_time)
-    levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
-    if any(isinstance(term, Inertia) for _, term in problem.terms.named):
+    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
+    way = read_way(problem, *given)
+    if problem.in_time:
         raise ValueError(
             "problem has an Inertia among its terms, which would move the bodies from level to "
             "level as if these were times: use dm.time_steps(problem, times), or leave it out"
         )
-    loading = Loading(read_ramps(problem.comm, ramp), on_time)
-    file = check_every(problem.comm, checkpoint, every)
-    yield from walk(
-        Solves(problem, qp, rtol, max_it, heat=check_optional("heat", heat, HEAT)),
-        levels,
-        loading,
-        problem.committed.level if start is None else float(start),
-        most=max_cuts if cuts == "halve" else 0,
-        file=file,
-        every=every,
-        progress=progress,
-    )
+    solves = Solves(problem, qp, rtol, max_it)
+    solves.heat = check_optional("heat", heat, HEAT)
+    yield from walk(solves, way)

@@ -11,7 +11,6 @@ import logging
 from dataclasses import replace
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -38,7 +37,6 @@ from dolfinx_mortar.newton_method.contacts import (
 from dolfinx_mortar.newton_method.line_search import take_step
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
-    Linearisation,
     count_changes,
     find_balance,
     find_extent,
@@ -150,7 +148,9 @@ def solve_step(
                 f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
                 "solver does not use them"
             )
-        report.notes += [note for note in problem.system.notes if note not in report.notes]
+        report.notes += [
+            note for note in problem.system.present.claims.notes if note not in report.notes
+        ]
     problem.told[:] = [report.notes]
     return report
 
@@ -212,28 +212,36 @@ class _Step:
                 continue
             if self.problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
-            if self.leads_away(residual, residuals):
-                self.go_back(old)
-                barred = DIGIT * self.missed(residuals[-1])
-                old, residual = replace(self.renewed(old), barred=barred), residuals[-1]
-            elif not residual.excess <= 1.0:
-                old = new
-            else:
-                self.check_passing()
+            exact = self.report.iterations[-1].exact_tangent
+            if residual.excess <= 1.0:
+                with self.problem.timings("mortar"):
+                    passed = failures.describe_passing(self.problem)
+                if passed:
+                    raise failures.failed(self.problem, self.report, passed)
                 finish(self.qps, self.report, new, residual, self.overlap)
                 return new
+            if exact and not self.missed(residual) <= self.missed(residuals[-1]):
+                old, residual = self.go_back(old, residuals[-1]), residuals[-1]
+            else:
+                old = new
             residuals.append(residual)
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
-    def renewed(self, old: Iterate) -> Iterate:
+    def go_back(self, old: Iterate, residual: Residuals) -> Iterate:
+        """Undo an exact step that raised the residual, and bar the exact tangent."""
+        self.problem.owned_u[:] = old.u
+        self.problem.u.x.scatter_forward()
+        for interface, kept in old.tools:
+            interface.restore(kept)
+        self.problem.follow_geometry()
         balance = self.balance(old.contacts)
         start = old.contacts.active[balance.nodes].astype(np.int8)
-        return replace(old, balance=balance, start=start)
+        return replace(old, balance=balance, start=start, barred=DIGIT * self.missed(residual))
 
     def iterate(
         self, old: Iterate, residuals: list[Residuals], *, exact: bool
     ) -> tuple[Iterate, Residuals]:
-        problem, number = self.problem, len(self.report.iterations) + 1
+        problem, number, rtol = self.problem, len(self.report.iterations) + 1, self.report.rtol
         problem.raise_failed()
         free_unused(problem.comm)
         found = self.qps.solve(old, residuals, exact=exact)
@@ -244,19 +252,24 @@ class _Step:
 
         moved = take_step(problem, found, largest, old)
         norm = problem.solid.elastic_norm(problem.u)
-        turned = 0.0
-        if self.qps.moving or self.qps.driven:
+        turned, updated = 0.0, self.qps.moving or self.qps.driven
+        if updated:
             given = contact_forces(problem, contacts)
             problem.follow_geometry()
-            turned = problem.vector(contact_forces(problem, contacts) - given).norm()
+            change = (contact_forces(problem, contacts) - given).sum(axis=0)
+            turned = problem.vector(change.ravel()).norm()
         balance = self.balance(contacts)
+        geometry = self.gap_error(found, moved.length, balance, contacts) if updated else 0.0
 
         scales = old.scales
         if not residuals:
-            scales = replace(scales, first=self.first_forces(lin))
-        residual = self.residual(balance, contacts, lin.diagonal, scales, norm)
+            lifted = problem.vector(self.data.asked)
+            lifted.pointwiseMult(lifted, lin.diagonal)
+            scales = replace(scales, first=float(max(lin.qp.b.norm(), lifted.norm())))
+        residual = measure(problem.u, balance, contacts, lin.diagonal, scales, norm, rtol)
+        residual = driven_tools.miss(problem, balance, contacts, residual, rtol)
         self.report.quote(number, solved.note or found.rejected)
-        self.report.friction = "" if lin.qp.friction is None else "exact linearisation"
+        self.report.note_friction(number, solved.linearisation)
         self.report.iterations.append(
             Iteration(
                 number=number,
@@ -271,16 +284,22 @@ class _Step:
                 factorisations=solved.factorisations,
                 step_length=moved.length,
                 line_search_steps=moved.halvings,
-                geometry_change=self.gap_error(found, moved.length, balance, contacts),
+                geometry_change=geometry,
                 shift=found.shift,
                 exact_tangent=found.exact,
             )
         )
-        tools = self.tools()
         contacts = contacts.completed(balance.limits)
+        barred = old.barred
+        if found.rejected:
+            barred = DIGIT * self.missed(residuals[-1])
+        elif residuals and not found.exact and self.missed(residual) > self.missed(residuals[-1]):
+            barred = np.inf
+        # by the force changes of the last two updates
+        many = ratio(turned, old.turned) ** FEW * residual.excess > 1.0
         iterate = Iterate(
             problem.owned_u.copy(),
-            tools,
+            self.tools(),
             moved.travel,
             balance,
             contacts,
@@ -294,8 +313,8 @@ class _Step:
             found.shift,
             found.negative,
             turned,
-            self.is_slow(turned, old.turned, residual),
-            self.barred(found, old.barred, residual, residuals),
+            slow=many and turned > SHARE * residual.forces * residual.limit / rtol,
+            barred=barred,
         )
         return iterate, residual
 
@@ -324,35 +343,9 @@ class _Step:
             return False
         return self.qps.finite or old.slow or self.report.iterations[-1].exact_tangent
 
-    def is_slow(self, turned: float, before: float, residual: Residuals) -> bool:
-        """Whether the fixed point is slow, by the force changes of the last two updates."""
-        many = ratio(turned, before) ** FEW * residual.excess > 1.0
-        return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
-
-    def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
-        if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
-            return False
-        return not self.missed(residual) <= self.missed(residuals[-1])
-
-    def barred(
-        self, found: Solution, old: float, residual: Residuals, residuals: list[Residuals]
-    ) -> float:
-        """Residual above which the exact tangent is not used next."""
-        if found.rejected:
-            return DIGIT * self.missed(residuals[-1])
-        raised = residuals and self.missed(residual) > self.missed(residuals[-1])
-        return np.inf if raised and not found.exact else old
-
     def missed(self, residual: Residuals) -> float:
         """Residual that the exact tangent must lower."""
         return max(residual.forces, residual.contact) if self.qps.finite else residual.excess
-
-    def go_back(self, old: Iterate) -> None:
-        self.problem.owned_u[:] = old.u
-        self.problem.u.x.scatter_forward()
-        for interface, kept in old.tools:
-            interface.restore(kept)
-        self.problem.follow_geometry()
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
@@ -384,35 +377,9 @@ class _Step:
         self, found: Solution, length: float, balance: Balance, contacts: Contacts
     ) -> float:
         """Error of predicted gaps, in facet lengths; collective."""
-        if not (self.qps.moving or self.qps.driven):
-            return 0.0
         bounds, gaps = found.lin.balance.bounds, np.full(self.problem.n, np.nan)
         gaps[found.lin.balance.nodes] = bounds.upper - length * found.solved.x.array_r[bounds.dofs]
         off = np.abs(balance.bounds.upper - gaps[balance.nodes])
         off = off[contacts.active[balance.nodes] & np.isfinite(off)]
         largest = float(maximum(self.problem.comm, off.max(initial=0.0))[0])
         return largest / self.problem.system.facet_length
-
-    def first_forces(self, lin: Linearisation) -> float:
-        """Size of the forces of the first QP; collective."""
-        lifted = self.problem.vector(self.data.asked)
-        lifted.pointwiseMult(lifted, lin.diagonal)
-        return float(max(lin.qp.b.norm(), lifted.norm()))
-
-    def residual(
-        self,
-        balance: Balance,
-        contacts: Contacts,
-        diagonal: PETSc.Vec,
-        scales: Scales,
-        norm: float,
-    ) -> Residuals:
-        rtol = self.report.rtol
-        found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
-        return driven_tools.miss(self.problem, balance, contacts, found, rtol)
-
-    def check_passing(self) -> None:
-        with self.problem.timings("mortar"):
-            passed = failures.describe_passing(self.problem)
-        if passed:
-            raise failures.failed(self.problem, self.report, passed)

@@ -1,13 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Results of a converged step: reactions, notes, certificate, data of the commit."""
 
-from dolfinx_mortar.newton_method.contacts import (
-    Residuals,
-    find_sliders,
-    gap_round_off,
-    normal_forces,
-    tangential_forces,
-)
+from dolfinx_mortar.newton_method.contacts import Residuals, contact_forces
 from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
 from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
 from dolfinx_mortar.persistence.committed import StepOutcome
@@ -35,22 +29,17 @@ def finish(
     if too_far := check_tightening(problem.system):
         raise StepFailed(too_far)
     slips, balances = set_results(problem, iterate.balance, contacts)
-    sliders = None
-    if (limits := iterate.balance.limits) is not None:
-        noise = gap_round_off(problem.u)
-        sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-    stiffness = iterate.stiffness.array_r
-    end = StepEnd(problem, report, iterate.balance, contacts, residual, stiffness, overlap)
+    end = StepEnd(problem, report, iterate.balance, contacts, residual, iterate.stiffness, overlap)
     negative = iterate.negative or _ends_indefinite(qps, report)
     report.notes += find_notes(end) + _notes_on_shifts(problem, report, negative)
-    report.certificate = create_certificate(end, balances, sliders)
+    report.certificate = create_certificate(end, balances)
     problem.raise_failed()
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired_at
-    forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
-    ended = problem.ends_of_interfaces()
+    normal, tangential = -contact_forces(problem, contacts)
+    ended = [interface.state(True) for interface in problem.interfaces]
     closed = contacts.active, contacts.sliding
-    outcome = StepOutcome(at, *closed, paired, slips, *forces, ended)
+    outcome = StepOutcome(at, *closed, paired, slips, normal, tangential, ended)
     problem.outcome, problem.committed.supports = outcome, supports
     report.converged = True
 

@@ -17,15 +17,13 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import check, check_optional, number, one_of
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Floats
 from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.persistence.committed import Before
-from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
-from dolfinx_mortar.steps.ramp import read_ramps
-from dolfinx_mortar.steps.walk import Level, Loading, Solves, walk
+from dolfinx_mortar.steps.walk import Level, Loading, Solves, read_way, walk
 from dolfinx_mortar.terms.inertia import (
     IMPLICIT,
     MOTION,
@@ -44,9 +42,9 @@ CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 class TimeSolves(Solves):
     """Solution of steps in time, with a ledger."""
 
-    conserve: bool = True
-    radius: float | None = None  # of "generalised-alpha"
-    loading: Loading = field(default_factory=lambda: Loading([], None))
+    conserve: bool
+    radius: float | None  # of "generalised-alpha"
+    loading: Loading
     ledger: EnergyLedger | None = None
     notes: list[str] = field(default_factory=list)  # for the report of the first step
     name: ClassVar[str] = "time step"
@@ -62,31 +60,22 @@ class TimeSolves(Solves):
             ledger = self._begin(level)
             ledger.open()
             report = super().to(level)
-            assert problem.outcome is not None
-            problem.outcome = replace(
-                problem.outcome, before=before
-            )  # before the start has settled
+            assert problem.outcome is not None  # before the start has settled
+            problem.outcome = replace(problem.outcome, before=before)
         self.ledger = ledger
         return report
 
     def _begin(self, level: Level) -> EnergyLedger:
-        problem = self.problem
-        (inertia,) = find_inertia(problem)
-        if any(step.report.ledger is not None for step in problem.history[-1:]):
-            self.loading.set(problem, problem.committed.level)
-            ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
-            self.loading.set(problem, level.time)
-        else:
-            ledger = self._start(inertia, level)
-        return ledger
-
-    def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
         problem, begin = self.problem, self.problem.committed.level
-        self.notes = stop_held(problem, inertia)
+        inertia, sides = find_inertia(problem), None
+        goes_on = any(step.report.ledger is not None for step in problem.history[-1:])
+        self.notes = [] if goes_on else stop_held(problem, inertia)
         self.loading.set(problem, begin)
-        sides = self._settle(inertia, begin, level)
+        if not goes_on:
+            sides = self._settle(inertia, begin, level)
         ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
-        ledger.start(begin, level.time, sides)
+        if sides is not None:
+            ledger.start(begin, level.time, sides)
         self.loading.set(problem, level.time)
         return ledger
 
@@ -108,17 +97,16 @@ class TimeSolves(Solves):
         inertia.scheme = IMPLICIT
         part = begin + QUARTER_OF_DIGITS * (level.time - begin)
         try:
-            if self._acts(nodes, begin, part):
-                self._solve(replace(level, time=part), self.linear)
-                outcome = problem.outcome
-                assert outcome is not None and outcome.normal is not None
-                assert outcome.tangential is not None
-                inertia.put(contact=outcome.normal, friction=outcome.tangential)
-                inertia.roll_back()
-                problem.outcome = replace(outcome, level=begin)
-                problem.commit()
-                assert problem.committed.supports is not None
-                forces[on_sides] = problem.committed.supports.forces[on_sides]
+            self._solve(replace(level, time=part), self.linear)
+            outcome = problem.outcome
+            assert outcome is not None and outcome.normal is not None
+            assert outcome.tangential is not None
+            inertia.put(contact=outcome.normal, friction=outcome.tangential)
+            inertia.roll_back()
+            problem.outcome = replace(outcome, level=begin)
+            problem.commit()
+            assert problem.committed.supports is not None
+            forces[on_sides] = problem.committed.supports.forces[on_sides]
         except NewtonNotConverged as error:
             self.notes.append(
                 "Inertia: nodes of contacts, which have no mass, found no equilibrium with the "
@@ -130,16 +118,6 @@ class TimeSolves(Solves):
             inertia.put(**before)
             inertia.scheme = scheme
         return forces
-
-    def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
-        problem, r = self.problem, self.problem.vector()
-        driven = [interface.driven() for interface in problem.interfaces]
-        if any(tool is not None and np.any(tool.loads()) for tool in driven):
-            return True
-        problem.terms.begin(begin, end)
-        problem.terms.assemble_forces(r)
-        forces = r.array_r.reshape(len(nodes), -1)
-        return bool(any_rank(problem.comm, forces[nodes].any())[0])
 
     def commit(self, report: StepReport) -> None:
         """Commit a step with its ledger; collective."""
@@ -224,36 +202,23 @@ def time_steps(
             `load_steps`.
         OSError, NewtonNotConverged: as `load_steps`.
     """
-    check_problem(problem, ContactProblem)
-    given = {"scheme": scheme, "spectral_radius": spectral_radius}
-    check_same_on_all_ranks(problem.comm, on_time=on_time, **given)
-    levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
-    begin = problem.committed.level if start is None else float(start)
-    done = count_done(problem, levels) if start is None else 0
-    check_increasing(begin, levels[done:])
+    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
+    way = read_way(problem, *given)
+    check_same_on_all_ranks(problem.comm, scheme=scheme, spectral_radius=spectral_radius)
+    history, done = problem.history, 0
+    walked = [step.time for step in history[len(history) - problem.committed.walked :]]
+    if start is None and len(walked) <= len(way.levels):  # the last run may go on
+        size = max(map(abs, walked), default=0.0)
+        pairs = zip(way.levels, walked, strict=False)
+        done = len(walked) * all(abs(a - b) <= SAME * size for a, b in pairs)
+    check_increasing(way.begin, way.levels[done:])
     found, radius = choose_scheme(scheme, spectral_radius)
-    (inertia,) = find_inertia(problem)
-    loading = Loading(read_ramps(problem.comm, ramp), on_time)
-    file = check_every(problem.comm, checkpoint, every)
+    inertia = find_inertia(problem)
     problem.go_back()
     inertia.scheme = found
-    yield from walk(
-        TimeSolves(
-            *(problem, qp, rtol, max_it),
-            conserve=scheme == CONSERVING,
-            radius=radius,
-            loading=loading,
-            heat=check_optional("heat", heat, HEAT),
-        ),
-        levels,
-        loading,
-        begin,
-        most=max_cuts if cuts == "halve" else 0,
-        file=file,
-        every=every,
-        progress=progress,
-        done=done,
-    )
+    solves = TimeSolves(problem, qp, rtol, max_it, scheme == CONSERVING, radius, way.loading)
+    solves.heat = check_optional("heat", heat, HEAT)
+    yield from walk(solves, way, done=done)
 
 
 def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
@@ -294,38 +259,26 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     ]
 
 
-def count_done(problem: ContactProblem, levels: list[float]) -> int:
-    """Number of times of the last walk, if they are the first `levels`, else 0."""
-    committed = problem.committed
-    walked = [step.time for step in committed.last_walk]
-    size = max(map(abs, walked), default=0.0)
-    same = all(abs(a - b) <= SAME * size for a, b in zip(levels, walked, strict=False))
-    return len(walked) if same and len(walked) <= len(levels) else 0
-
-
 def check_increasing(begin: float, levels: list[float]) -> None:
     """Raise a ValueError unless times increase, in steps dt with dt and dt^2 in floating point."""
     for before, after in zip([begin, *levels], levels, strict=False):
-        dt = QUARTER_OF_DIGITS * (after - before)  # of the settling of the start
-        if not np.isfinite((after - before) * (after - before)):
-            raise ValueError(
-                f"times holds {after:g} after {before:g}: the square of that step is infinite; "
-                "give times in a larger unit"
-            )
-        if dt > 0.0 and (before + dt == before or not has_square(dt)):
-            raise ValueError(
-                f"times holds {after:g}, {after - before:g} after {before:g}: that is too short a "
-                "step for the digits of numbers; take longer ones, or count from a nearer start"
-            )
-        if not after > before:
+        dt = after - before
+        share = QUARTER_OF_DIGITS * dt  # of the settling of the start
+        if not dt > 0.0:
             raise ValueError(
                 f"times holds {after:g} after {before:g}: times must increase, from the start at "
                 f"{begin:g} on (the start itself is no step)"
             )
+        if before + share == before or not has_square(share) or not has_square(dt):
+            raise ValueError(
+                f"times holds {after:g}, {dt:g} after {before:g}: that is too short a step for the "
+                "digits of numbers, or its square is infinite: give times in another unit, longer "
+                "steps, or count from a nearer start"
+            )
 
 
-def find_inertia(problem: ContactProblem) -> list[Inertia]:
-    """The inertia of a problem, in a list; a ValueError unless one fits; collective."""
+def find_inertia(problem: ContactProblem) -> Inertia:
+    """The inertia of a problem; a ValueError unless one fits; collective."""
     found = [term for _, term in problem.terms.named if isinstance(term, Inertia)]
     if len(found) != 1:
         raise ValueError(
@@ -346,4 +299,4 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
             "problem: its Inertia is also in a problem that was made later with other contacts or "
             "ties, and has the mass of that one: make an Inertia for each problem"
         )
-    return found
+    return inertia

@@ -16,28 +16,29 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 from mpi4py import MPI
 
-from dolfinx_mortar.agreement import find_constants
+from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.heat import Heat
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
-from dolfinx_mortar.persistence.checkpoints import Saved, read
+from dolfinx_mortar.persistence.checkpoints import read
 from dolfinx_mortar.persistence.committed import Walk
 from dolfinx_mortar.persistence.tables import check_folder
+from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread
+from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread, read_ramps
 
 log = logging.getLogger(__name__)
 
@@ -103,8 +104,8 @@ class Solves:
     qp: str
     rtol: float
     max_it: int
-    factorising: LinearSolver | None = None  # replaces the problem's
-    heat: Heat | None = None
+    factorising: LinearSolver | None = field(default=None, init=False)  # replaces the problem's
+    heat: Heat | None = field(default=None, init=False)
     name: ClassVar[str] = "load step"
 
     @property
@@ -200,23 +201,47 @@ class Checkpoint:
             self.new = False
 
 
-def walk(
-    solves: Solves,
-    levels: list[float],
-    loading: Loading,
-    begin: float,
-    *,
-    most: int,
-    file: Path | None,
-    every: int,
+@dataclass(frozen=True)
+class Way:
+    """Levels and loads of a run, and how it goes."""
+
+    begin: float  # committed level
+    levels: list[float]
+    loading: Loading
+    most: int  # halvings of a step
+    file: Path | None
+    every: int
+    progress: bool | None
+
+
+def read_way(
+    problem: ContactProblem,
+    times: Any,
+    ramp: Any,
+    on_time: Any,
+    start: Any,
+    cuts: Any,
+    max_cuts: Any,
     progress: bool | None,
-    done: int = 0,
-) -> Iterator[LoadStep]:
+    checkpoint: Any,
+    every: Any,
+) -> Way:
+    """Checked arguments, see `load_steps`; collective."""
+    check_problem(problem, ContactProblem)
+    check_same_on_all_ranks(problem.comm, on_time=on_time)
+    levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+    begin = problem.committed.level if start is None else float(start)
+    loading = Loading(read_ramps(problem.comm, ramp), on_time)
+    file = check_every(problem.comm, checkpoint, every)
+    return Way(begin, levels, loading, max_cuts * (cuts == "halve"), file, every, progress)
+
+
+def walk(solves: Solves, way: Way, *, done: int = 0) -> Iterator[LoadStep]:
     """Make the steps to given levels, see `load_steps`; collective.
 
-    `begin` is the committed level, `most` the largest number of halvings, `done` the number of
-    levels of the last walk, which this one continues.
+    `done` is the number of levels of the last walk, which this one continues.
     """
+    begin, levels, loading, file = way.begin, way.levels, way.loading, way.file
     problem = solves.problem
     if solves.heat is not None and file is not None:
         raise ValueError(
@@ -234,28 +259,20 @@ def walk(
     committed.walk = Walk(begin, [one.rows for one in loading.ramps], settings)
     written = Checkpoint(problem, file, committed.walk)
     done = committed.walked  # of the checkpoint, if any
-    idle = _idle(solves, loading)
-    tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
+    used = find_constants([problem.inputs, None if solves.heat is None else solves.heat.given])
+    idle = [] if loading.on_time else notes_on_unread(loading.ramps, used)
+    for note in idle if problem.comm.rank == 0 else ():
+        log.warning("%s", note)
+    quiet = way.progress is None and len(levels) == 1
+    tell = lines(problem.comm, False if quiet else way.progress)
     for number, time in enumerate(levels[done:], start=done + 1):
-        step = _walk(solves, number, time, loading, most, written)
+        step = _walk(solves, number, time, loading, way.most, written)
         step.report.notes += idle if number == done + 1 else []
         tell(f"{solves.name} {number} of {len(levels)} {step.outcome}")
         yield step
         written.check_alone()
-        if number % every == 0 or number == len(levels):
+        if number % way.every == 0 or number == len(levels):
             written.write()
-
-
-def _idle(solves: Solves, loading: Loading) -> list[str]:
-    if loading.on_time is not None:
-        return []
-    problem, heat = solves.problem, solves.heat
-    read = find_constants([problem.inputs, None if heat is None else heat.given])
-    notes = notes_on_unread(loading.ramps, read)
-    if problem.comm.rank == 0:
-        for note in notes:
-            log.warning("%s", note)
-    return notes
 
 
 def _continue(
@@ -272,12 +289,16 @@ def _continue(
         check_folder(problem.comm, file)
         return begin
     saved = read(problem.state, file)
-    walk = saved.walk
+    walk, before = saved.walk, saved.about["walk"]
     _check_walked(levels, walk, file)
-    _check_tables(loading.ramps, saved, file)
     if walk:
-        settings = saved.about["walk"]["settings"]
-        _check_settings(solves.settings(), settings, f"the checkpoint {str(file)!r}")
+        been = [before["start"], *walk, saved.about["level"]]
+        if wrong := difference(before["ramp"], loading.ramps, been):
+            raise ValueError(
+                f"ramp: {wrong}, when the checkpoint {str(file)!r} was written: give the tables of "
+                "that run, give this run a file of its own, or delete the file to begin anew"
+            )
+        _check_settings(solves.settings(), before["settings"], f"the checkpoint {str(file)!r}")
     if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
     saved.put()
@@ -290,8 +311,7 @@ def _continue(
             "checkpoint %s: %d of %d steps are done, to %g; %s",
             *(file, len(walk), len(levels), problem.committed.level, left),
         )
-    before = problem.committed.walk
-    return begin if before is None else before.start
+    return begin if before is None else float(before["start"])
 
 
 def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
@@ -313,18 +333,6 @@ def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where
                 f"{name} is {present.get(name)!r}, in {where} {before.get(name)!r}: give the same, "
                 "or the times after those alone, for a run of its own that goes on from there"
             )
-
-
-def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
-    before = saved.about["walk"]
-    if before is None or not saved.walk:
-        return
-    been = [before["start"], *saved.walk, saved.about["level"]]
-    if wrong := difference(before["ramp"], ramps, been):
-        raise ValueError(
-            f"ramp: {wrong}, when the checkpoint {str(file)!r} was written: give the tables of "
-            "that run, give this run a file of its own, or delete the file to begin anew"
-        )
 
 
 def _walk(

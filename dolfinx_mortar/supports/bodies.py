@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
@@ -24,7 +24,7 @@ from dolfinx_mortar.arrays import (
     Floats,
     Ints,
 )
-from dolfinx_mortar.interfaces.coupling import Sides
+from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
 from dolfinx_mortar.spaces import connected_parts
 
@@ -65,11 +65,8 @@ class Bodies:
     def of_cells(self) -> Ints:
         """Body (owned cells,) of each cell; collective."""
         V = self.V
-        vector = la.vector(V.dofmap.index_map, 1)
-        vector.array[: len(self.label)] = self.label
-        vector.scatter_forward()
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-        return np.asarray(vector.array[V.dofmap.list[:owned, 0]], dtype=np.int32)
+        return with_ghosts(V, self.label)[V.dofmap.list[:owned, 0]]
 
     @property
     def shifts(self) -> Bools:

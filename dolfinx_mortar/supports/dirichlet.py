@@ -5,11 +5,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import Sides
@@ -54,39 +55,6 @@ def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
         )
 
 
-def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
-    d, comm = V.dofmap.index_map_bs, V.mesh.comm
-    chosen = la.vector(V.dofmap.index_map, d)
-    chosen.array[: len(target)] = target
-    chosen.scatter_forward()
-    given, farthest, off = np.zeros((3, len(chosen.array)))
-    for bc in bcs:
-        bc.set(given)
-        dofs = bc.dof_indices()[0]
-        with np.errstate(invalid="ignore"):
-            difference = np.abs(given[dofs] - chosen.array[dofs])
-        farther = difference > off[dofs]
-        off[dofs[farther]], farthest[dofs[farther]] = difference[farther], given[dofs[farther]]
-    if not any_rank(comm, off.any())[0]:
-        return
-    X = V.tabulate_dof_coordinates()
-    sizes = (np.abs(x).max(initial=0.0) for x in (X, given))
-    allowed = ROUND_OFF * maximum(comm, *sizes).sum()
-    differ = np.flatnonzero(off > allowed)
-    if not any_rank(comm, len(differ) > 0)[0]:
-        return
-    told = ""
-    for i in differ[:1]:
-        x = np.where(np.abs(X[i // d]) > allowed, X[i // d], 0.0)[: V.mesh.geometry.dim]
-        place = ", ".join(f"{v:.4g}" for v in x)
-        told = f"{farthest[i]:.10g} and {chosen.array[i]:.10g} for V.sub({i % d}) at ({place})"
-    raise ValueError(
-        "bcs: conditions prescribe different displacements of one node, such as "
-        f"{next(filter(None, comm.allgather(told)))}: leave each node and component to one of "
-        "them, or give them equal values there"
-    )
-
-
 @dataclass(frozen=True)
 class Dirichlet:
     """Dirichlet conditions of a problem; values are read in every step."""
@@ -102,22 +70,39 @@ class Dirichlet:
 
     def values(self) -> Floats:
         """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
-        V, bcs = self.V, self.bcs
-        d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
-        values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
-        for bc in bcs:
-            bc.set(values)
-            known[bc.dof_indices()[0]] = 1.0
-        shared = la.vector(layout, 2 * d)
-        table = shared.array.reshape(-1, 2 * d)
-        table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
-        shared.scatter_reverse(la.InsertMode.add)
-        own = slice(None, d * layout.size_local)
-        total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
-        # the owner's value is exact; else the mean of the others'
-        target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
-        _check_unique(V, bcs, target)
-        return target
+        V, layout, known = self.V, self.V.dofmap.index_map, self.owned.ravel()
+        d, n, comm = V.dofmap.index_map_bs, known.size, V.mesh.comm
+        given = np.zeros(self.fixed.size)
+        largest = np.full((2, len(given)), -np.inf)  # of values, and of their negatives
+        for bc in self.bcs:
+            bc.set(given)
+            dofs = bc.dof_indices()[0]
+            largest[:, dofs] = np.maximum(largest[:, dofs], [given[dofs], -given[dofs]])
+        ghosts = layout.ghosts.astype(PETSc.IntType)
+        shared = PETSc.Vec().createGhost(ghosts, (n, None), bsize=d, comm=comm)
+        for values in largest:
+            with shared.localForm() as local:
+                local.array_w[:] = values
+            shared.ghostUpdate(PETSc.InsertMode.MAX_VALUES, PETSc.ScatterMode.REVERSE)
+            values[:n] = shared.array_r
+        shared.destroy()
+        high, low, X = largest[0, :n], -largest[1, :n], V.tabulate_dof_coordinates()
+        allowed = ROUND_OFF * maximum(comm, *(np.abs(v).max(initial=0.0) for v in (X, given))).sum()
+        told = ""
+        with np.errstate(invalid="ignore"):
+            differ = np.flatnonzero(known & (high - low > allowed))
+        for i in differ[:1]:
+            x = np.where(np.abs(X[i // d]) > allowed, X[i // d], 0.0)[: V.mesh.geometry.dim]
+            place = ", ".join(f"{v:.4g}" for v in x)
+            told = f"{low[i]:.10g} and {high[i]:.10g} for V.sub({i % d}) at ({place})"
+        every = [text for text in comm.allgather(told) if text]
+        if every:
+            raise ValueError(
+                "bcs: conditions prescribe different displacements of one node, such as "
+                f"{every[0]}: leave each node and component to one of them, or give them equal "
+                "values there"
+            )
+        return np.where(known, high, 0.0)
 
     def warnings(self) -> list[str]:
         """Warning for each condition without dofs; collective."""

@@ -87,7 +87,6 @@ class Start:
     """Data at the start of a step."""
 
     dt: float
-    scheme: Scheme
     predicted: Floats  # p
     constant: Floats  # g
     kappa: float
@@ -191,7 +190,7 @@ class Inertia(Term):
         predicted = self._owned(self.solid.u) + dt * v + dt**2 * (0.5 - s.beta) * a
         constant = as_floats((s.am * mass.times(a) - s.af * self.values("balance")) / (1.0 - s.af))
         kappa = (1.0 - s.am) / ((1.0 - s.af) * s.beta * dt**2)
-        self._start = Start(dt, s, predicted, constant, kappa, velocity, rate)
+        self._start = Start(dt, predicted, constant, kappa, velocity, rate)
         self._end = None
 
     def stride(self) -> float:
@@ -242,7 +241,7 @@ class Inertia(Term):
 
     def end(self) -> dict[str, Floats]:
         """Velocity, acceleration and balance G at the present u, (owned nodes, d); collective."""
-        start, s, mass = self.start, self.start.scheme, self.mass
+        start, s, mass = self.start, self.scheme, self.mass
         change, a_n = mass.extend(self.change), self.values("acceleration")
         a = change / (s.beta * start.dt**2)
         mean = mass.times((1.0 - s.am) * a + s.am * a_n)

@@ -20,7 +20,7 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, assemble
-from dolfinx_mortar.tags import check_entities, check_tag, find_exterior, in_order, tag_of, tags_of
+from dolfinx_mortar.tags import check_entities, find_exterior, in_order, tag_of, tags_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
@@ -67,7 +67,10 @@ class Pressure(WeakForm):
         given = {"facet_tags": facet_tags, "tag": tag, "p": p, "closed": closed}
         check_same_on_all_ranks(domain.comm, **given)
         facet_tags, number = _exterior(domain, facet_tags, tag)
-        p = _as_scalar(domain, p)
+        p = fem.Constant(domain, default_scalar_type(p)) if is_number(p) else p
+        scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
+        remedy = "give a number, or a scalar Constant or UFL without a test function"
+        p = check("Pressure: p", p, Rule(remedy, lambda p: p if scalar else None))
         if check("Pressure: closed", closed, FLAG) and solid.kinematics.plane_stress:
             raise ValueError(
                 "Pressure: closed is True, but in plane stress the edge of a plate changes its "
@@ -92,22 +95,7 @@ class Pressure(WeakForm):
             self._energy = fem.form(self._volume)
             self._asymmetric = None
 
-    def add_forces(self, F: PETSc.Vec) -> None:
-        """Add the forces at the present thickness; collective."""
-        self._follow()
-        super().add_forces(F)
-
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add the tangent at the present thickness; collective."""
-        self._follow()
-        super().add_tangent(K)
-
-    def skew(self) -> PETSc.Mat | None:
-        """Antisymmetric part at the present thickness, None if closed; collective."""
-        self._follow()
-        return super().skew()
-
-    def _follow(self) -> None:
+    def _update(self) -> None:
         if self._thickness is not None:
             self._thickness.follow()
 
@@ -131,7 +119,6 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
     with raised_together(domain.comm):
         check_entities("facet_tags", facet_tags)
     number = tag_of(facet_tags, tag, "tag")
-    check_tag("tag", number)
     facet_tags = in_order(facet_tags)
     sizes = np.array([len(found) for found in find_exterior(facet_tags, number, domain)])
     marked, outside = domain.comm.allreduce(sizes)
@@ -143,14 +130,6 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
             "where no pressure acts: tag exterior facets only"
         )
     return facet_tags, int(number)
-
-
-def _as_scalar(domain: Mesh, p: Any) -> Expr:
-    if is_number(p):
-        p = fem.Constant(domain, default_scalar_type(p))
-    scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
-    remedy = "give a number, or a scalar Constant or UFL without a test function"
-    return check("Pressure: p", p, Rule(remedy, lambda p: p if scalar else None))
 
 
 class _Thickness:

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import maximum, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
 
 LEAST_FACTOR = 0.5
 """Smallest value of 1 + s at a node. Where it would be smaller, layers are too few for the moments
@@ -39,13 +39,8 @@ class Mass:
 
     matrix: PETSc.Mat
     X: Floats  # (owned nodes, d)
+    massless: Bools  # (owned nodes,)
     extension: PETSc.Mat | None = None  # P, None for the identity
-    bare: Bools | None = None  # (owned nodes,) massless; None for none
-
-    @property
-    def massless(self) -> Bools:
-        """Massless owned nodes."""
-        return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
 
     def times(self, values: Floats) -> Floats:
         """Return M* v; collective."""
@@ -117,7 +112,7 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
     matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))
     matrix.assemble()
     n, d = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
-    return Mass(matrix, np.asarray(V.tabulate_dof_coordinates()[:n, :d]))
+    return Mass(matrix, V.tabulate_dof_coordinates()[:n, :d], np.zeros(n, dtype=bool))
 
 
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
@@ -131,7 +126,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     while True:
         if not comm.allreduce(bool(contact.any()), op=MPI.LOR):
             return plain
-        extension, bare = _extension(plain, contact)
+        extension, massless = _extension(plain, contact)
         moved = plain.matrix.ptap(extension)
         scale, restored = _restore_moments(plain, moved, body, degree)
         if restored.all():
@@ -141,7 +136,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     v = moved.createVecRight()
     v.array[:] = scale
     moved.diagonalScale(v, v)
-    return replace(plain, matrix=moved, extension=extension, bare=bare)
+    return replace(plain, matrix=moved, extension=extension, massless=massless)
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
@@ -152,38 +147,25 @@ def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) ->
 
 def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
     """P, and the contact nodes that have an inner node; collective."""
-    M, n = plain.matrix, len(contact)
+    M, n, inside = plain.matrix, len(contact), np.flatnonzero(contact)
     first, least = M.getOwnershipRange()[0], np.full(n, np.inf)
-    rows, columns, pending = list[Longs](), list[Ints](), np.flatnonzero(contact)
-    every = PETSc.IS().createStride(n, first=first, step=1, comm=M.comm)
-    for ring in range(RINGS):
-        at = PETSc.IS().createGeneral((pending + first).astype(PETSc.IntType), comm=M.comm)
-        near = M.createSubMatrix(at, every)
-        for _ in range(ring):
-            near = near.matMult(M)
-        indptr, reached, _ = near.getValuesCSR()
-        row, (wanted, place) = (
-            pending.repeat(np.diff(indptr)),
-            np.unique(reached, return_inverse=True),
-        )
-        there = values_at(M.comm, np.column_stack([plain.X, contact]), wanted)[place]
-        inner = there[:, -1] == 0.0
-        row, reached = row[inner], reached[inner]
-        distance = np.linalg.norm(there[inner, :-1] - plain.X[row], axis=1)
-        np.minimum.at(least, row, distance)
-        nearest = distance <= (1.0 + HALF_OF_DIGITS) * least[row]
-        rows.append(row[nearest])
-        columns.append(reached[nearest])
-        pending = pending[np.isinf(least[pending])]
-        if not M.comm.tompi4py().allreduce(bool(pending.size), op=MPI.LOR):
-            break
-    bare = np.isfinite(least)
-    rest = np.flatnonzero(~bare)
-    row, column = np.concatenate([*rows, rest]), np.concatenate([*columns, rest + first])
+    at = PETSc.IS().createGeneral((inside + first).astype(PETSc.IntType), comm=M.comm)
+    near = M.createSubMatrix(at, PETSc.IS().createStride(n, first=first, step=1, comm=M.comm))
+    for _ in range(1, RINGS):
+        near = near.matMult(M)
+    indptr, column, _ = near.getValuesCSR()
+    row, (wanted, place) = inside.repeat(np.diff(indptr)), np.unique(column, return_inverse=True)
+    there = values_at(M.comm, np.column_stack([plain.X, contact]), wanted)[place]
+    inner = there[:, -1] == 0.0
+    row, column = row[inner], column[inner]
+    distance = np.linalg.norm(there[inner, :-1] - plain.X[row], axis=1)
+    np.minimum.at(least, row, distance)
+    nearest, rest = distance <= (1.0 + HALF_OF_DIGITS) * least[row], np.flatnonzero(np.isinf(least))
+    row, column = np.append(row[nearest], rest), np.append(column[nearest], rest + first)
     shares = 1.0 / np.bincount(row, minlength=n)[row]
     P = scipy.sparse.csr_array((shares, (row, column)), shape=(n, M.getSize()[1]))
     csr = P.indptr.astype(PETSc.IntType), P.indices.astype(PETSc.IntType), P.data
-    return PETSc.Mat().createAIJ(M.getSizes(), csr=csr, comm=M.comm), bare
+    return PETSc.Mat().createAIJ(M.getSizes(), csr=csr, comm=M.comm), np.isfinite(least)
 
 
 def _restore_moments(

@@ -13,6 +13,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import (
     any_rank,
     is_defined_here,
@@ -21,7 +22,7 @@ from dolfinx_mortar.algebra.parallel import (
     raised_together,
 )
 from dolfinx_mortar.arguments import array, check, instance, number
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, TINY, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term
@@ -67,7 +68,7 @@ class Terms:
     def vary(self, K: PETSc.Mat) -> bool:
         """Whether the tangent may differ from K on any rank; collective."""
         found = [self._ask(name, term, Term.varies, K) for name, term in self.stiff]
-        found += [region.parameters.varying for region in self.solid.regions]
+        found += [region.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
 
     @property
@@ -165,12 +166,9 @@ class Terms:
         K = self.create_matrix()
         K.zeroEntries()
         self.add_tangents(K)
-        if self._of_users:
-            self._check_symmetric(K)
-        return K
-
-    def _check_symmetric(self, K: PETSc.Mat) -> None:
-        """Raise a ValueError on all ranks unless v.K w = w.K v for random v, w; collective."""
+        if not self._of_users:
+            return K
+        # v.K w = w.K v for random v, w
         v, w = K.createVecs()
         rng = np.random.default_rng(self.comm.rank)
         v.array[:], w.array[:] = rng.normal(size=(2, v.local_size))
@@ -181,6 +179,17 @@ class Terms:
                 f"{skew / K.norm():.2g} |K|: K has to be the second derivative of an energy, which "
                 "is symmetric; if there is no energy, add the symmetric part"
             )
+        return K
+
+    def resistance(self) -> Callable[[PETSc.Vec], Floats]:
+        """Return v -> forces of the terms under v, over the largest entry of each row of K."""
+        if not self.stiff:
+            return lambda v: np.zeros(0)
+        self.check_energies()
+        K = self.stiffness()
+        least = max(ROUND_OFF * K.norm(PETSc.NormType.INFINITY), TINY)
+        scale = np.maximum(abs(owned_rows(K)).max(axis=1).toarray().ravel(), least)
+        return lambda v: np.asarray((K * v).array_r / scale)
 
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
         """Matrix with the pattern of the mesh and the couplings of terms; collective.
@@ -199,9 +208,12 @@ class Terms:
             return K
         self.solid.add_tangent(K)  # PETSc removes unset entries
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+        n = K.getSize()[0]
+        remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
+        rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
         with raised_together(self.comm):
             for name, dofs in dense:
-                rows = _dofs(name, dofs, K.getSize()[0])
+                rows = check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
                 K.setValues(rows, rows, np.zeros((rows.size, rows.size)), addv=True)
         K.assemble()
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
@@ -299,12 +311,6 @@ def _couplings(term: Term) -> Sequence[Any]:
     return list(check("it", term.couplings, rule))
 
 
-def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
-    remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
-    rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
-    return check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
-
-
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
     """Check terms; a ValueError on all ranks names what is missing; collective."""
     with raised_together(comm):
@@ -318,7 +324,7 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
             if isinstance(term, PointTerm):
                 term.act_on(u)
     names = "linear", "has_tangent"
-    kinds = [[{n: getattr(t, n) for n in names}, sorted(t.state)] for t in terms]
+    kinds = [{n: getattr(t, n) for n in names} | {"state": sorted(t.state)} for t in terms]
     check_same_on_all_ranks(comm, terms=kinds)
     return list(terms)
 

@@ -6,7 +6,6 @@ axisymmetry are those of the whole ring.
 """
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
 from petsc4py import PETSc
@@ -40,21 +39,15 @@ class DeadLoads(Term):
         self._u = solid.u
         self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
+        self.f = assemble(self._form, self._vector)  # (n,) at owned dofs, a view
 
     def begin(self, start: float, end: float) -> None:
         """Assemble the forces; collective."""
         assemble(self._form, self._vector)
 
-    @property
-    def f(self) -> Floats:
-        """The forces (n,) at the owned dofs."""
-        imap, bs = self._vector.index_map, self._vector.block_size
-        return np.asarray(self._vector.array[: bs * imap.size_local])
-
     def energy(self) -> Floats:
         """Addends -f_i u_i of this rank."""
-        f = self.f
-        return np.asarray(-f * self._u.x.array[: f.size])
+        return np.asarray(-self.f * self._u.x.array[: self.f.size])
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Subtract f."""
@@ -102,6 +95,7 @@ class WeakForm(Term):
         du = ufl.TrialFunction(V)
         tangent = expand_derivatives(ufl.derivative(forces, u, du))
         self._asymmetric: ufl.Form | None = None
+        self._skew: tuple[MatrixForm, PETSc.Mat] | None = None
         if residual is not None and not tangent.empty():
             self._asymmetric = tangent
             tangent = expand_derivatives(0.5 * (tangent + ufl.adjoint(tangent)))
@@ -117,36 +111,38 @@ class WeakForm(Term):
         """Arguments that must agree on all ranks, see `agreement`."""
         return self._given
 
+    def _update(self) -> None:
+        """Update the coefficients before an assembly; collective."""
+
     def energy(self) -> float | None:
         """Return this rank's share of Pi(u), None for a residual."""
         return None if self._energy is None else float(fem.assemble_scalar(self._energy))
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add dPi/du or R(u; .) to the owned part of F; collective."""
+        self._update()
         F.array_w[:] += assemble(self._forces, self._vector)[: F.local_size]
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add the second derivative; collective."""
         if self._tangent is not None:
+            self._update()
             self._tangent.add_to(K)
 
     def skew(self) -> PETSc.Mat | None:
         """Antisymmetric part of dR/du, valid until the next call; collective."""
-        if self._skew is None:
-            return None
-        form, A = self._skew
-        A.zeroEntries()
-        form.add_to(A)
-        A.assemble()
-        return A
-
-    @cached_property
-    def _skew(self) -> tuple[MatrixForm, PETSc.Mat] | None:
         if self._asymmetric is None:
             return None
-        half = 0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric))
-        form = fem.form(expand_derivatives(half))
-        return MatrixForm(form), fem_petsc.create_matrix(form)
+        if self._skew is None:
+            half = expand_derivatives(0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric)))
+            form = fem.form(half)
+            self._skew = MatrixForm(form), fem_petsc.create_matrix(form)
+        self._update()
+        part, A = self._skew
+        A.zeroEntries()
+        part.add_to(A)
+        A.assemble()
+        return A
 
 
 WANTED = (

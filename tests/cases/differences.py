@@ -70,8 +70,8 @@ def held() -> Iterator[None]:
 def accurate() -> Iterator[None]:
     """Integrate in space with many points: derivatives are those of integrals, by fewer points."""
     with (
-        patch.object(area, "_least_degree", lambda slave, master: 16),
-        patch.object(area, "_degree_of_moments", lambda slave, master, smooth: 16),
+        patch.object(area, "least_degree", lambda slave, master: 16),
+        patch.object(area, "degree_of_moments", lambda slave, master, smooth: 16),
     ):
         yield
 

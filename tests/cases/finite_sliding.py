@@ -26,7 +26,7 @@ BASE, TOP, ARC, HELD = 1, 2, 3, 4
 def averaged(pairing, segments, M, u, *options):
     """Return the averaged normals of the slave, which are those of the independent program."""
     n = common_normals.common_normals(pairing, segments, 0.0 * M, u, *options)
-    assert not n.by_master.any()
+    assert not n.differentiate()[1].any()
     return n
 
 
