@@ -18,7 +18,7 @@ from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import check, instance, number
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
 from dolfinx_mortar.solid.laws import by_cells
@@ -75,7 +75,8 @@ class Conductance:
         else:
             at = [np.zeros(len(closed))] * 2
         laws = [0.0 if self.h is None else self.h, self.open]
-        found = np.where(closed, *(_evaluate(law, *np.nan_to_num(at)) for law in laws))
+        shut, apart = (_evaluate(law, *np.nan_to_num(at)) for law in laws)
+        found = np.where(closed, shut, apart)
         with raised_together(V.mesh.comm):
             for i in np.flatnonzero(~((found >= 0.0) & (found < np.inf))):
                 x = ", ".join(f"{v:.4g}" for v in V.tabulate_dof_coordinates()[i])
@@ -268,7 +269,7 @@ class Heat:
         self, interface: Interface, share: float, values: Sequence[Floats], A: Any, b: Any
     ) -> None:
         """Add int h (T_s - T_m) (w_s - w_m), and the heat of friction."""
-        sides = {"slave": interface.slave, "master": interface.master}
+        sides: dict[str, Any] = {"slave": interface.slave, "master": interface.master}
         points = segments(self.V, interface.facet_tags, **sides, u=self.u)
         on_slave = np.asarray(
             self.V.dofmap.index_map.global_to_local(points.slave_dofs.ravel())
@@ -293,7 +294,7 @@ class Heat:
 
     def _tie(self, interface: Interface, closed: Longs, held: Longs) -> PETSc.Mat:
         """Rows of D - M of closed nodes whose temperature is not prescribed."""
-        sides = {"slave": interface.slave, "master": interface.master}
+        sides: dict[str, Any] = {"slave": interface.slave, "master": interface.master}
         mortar = assemble_mortar(self.V, interface.facet_tags, **sides, u=self.u)
         chosen = np.isin(mortar.nodes, closed) & ~np.isin(mortar.nodes, held)
         rows = mortar.D.getOwnershipRange()[0] + np.flatnonzero(chosen)
@@ -302,7 +303,7 @@ class Heat:
 
     def _solve(self, A: PETSc.Mat, b: PETSc.Vec, ties: list[PETSc.Mat]) -> float:
         """Solve with the Dirichlet conditions and multipliers; return the largest change."""
-        n, held = b.local_size, [np.empty(0, dtype=np.int32)]
+        n, held = b.local_size, list[Ints]([np.empty(0, dtype=np.int32)])
         for C in ties:
             both = [[A, C.transpose(PETSc.Mat())], [C, None]]
             A = PETSc.Mat().createNest(both, comm=self.comm).convert("aij")
@@ -359,7 +360,11 @@ def _on_cells(name: str, given: Any, cell_tags: Any, V: fem.FunctionSpace) -> fe
     if not isinstance(given, Mapping):
         value = given.value if isinstance(given, fem.Constant) else given
         check(name, float(value), positive)
-        return given if isinstance(given, fem.Constant) else fem.Constant(V.mesh, float(value))
+        return (
+            given
+            if isinstance(given, fem.Constant)
+            else fem.Constant(V.mesh, default_scalar_type(value))
+        )
     found, tags = by_cells(V.mesh, cell_tags, given, name, cover=True)
     values = fem.Function(fem.functionspace(V.mesh, ("DG", 0)))
     for tag, value in found.items():

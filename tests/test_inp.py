@@ -10,8 +10,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.meshing.inp import SHAPES
+from tests.cases import msh_files
 from tests.cases.integrals import integral
-from tests.cases.msh_files import folder
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
@@ -37,7 +37,7 @@ def deck_of(shape, count, bulge=0.0):
 
 def read(text, **more):
     """Read a deck from its text, and texts of included files."""
-    with folder() as place:
+    with msh_files.folder() as place:
         if COMM.rank == 0:
             for name, content in {"deck": text, **more}.items():
                 (place / f"{name}.inp").write_text(content)
@@ -157,6 +157,29 @@ def test_two_instances_of_a_block(joint, kind):
     assert joined.force == pytest.approx([0.0, pressure], rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("plastic", "law"),
+    [
+        ("*PLASTIC\n300., 0.\n", {"a": 0.0, "H": 0.0}),
+        ("*PLASTIC\n300., 0.\n330., .1\n", {"a": 0.0, "H": 200.0}),
+        ("*PLASTIC, HARDENING=KINEMATIC\n300., 0.\n330., .1\n", {"a": 200.0, "H": 0.0}),
+        ("*PLASTIC\n300., 0.\n330., .1\n340., .2\n", None),
+        ("*HYPERELASTIC\n", {}),
+    ],
+)
+def test_laws(plastic, law):
+    """Y = sqrt(2/3) 300; a slope of 300 in tension is 2/3 of that in the deviator; no tables."""
+    deck = read(DECK.replace("*EXPANSION", plastic + "*EXPANSION") + CONTACT, block=BLOCK)
+    told = [line for line in deck.unread if "PLASTIC" in line or "HYPER" in line]
+    assert len(told) == (2 if law is None else plastic.startswith("*HYPER"))
+    if law is None:
+        assert not deck.materials
+        return
+    found = deck.materials["UP.E"]
+    assert found == (dm.VonMises(200.0, 0.3, Y=found.Y, **law) if law else dm.Elastic(200.0, 0.3))
+    assert not law or found.Y == pytest.approx(np.sqrt(2 / 3) * 300.0)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("old", "new", "words"),
@@ -184,3 +207,58 @@ def test_decks_that_are_refused(old, new, words):
     texts = [text.replace(old, new) for text in (DECK + CONTACT, BLOCK)]
     with rejected(*words, error=(ValueError, OSError)):
         read(texts[0], block=texts[1])
+
+
+def write_step(path, draw):
+    """Write what is drawn by Gmsh as a STEP file, on rank 0."""
+    gmsh = pytest.importorskip("gmsh")
+    if COMM.rank == 0:
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        draw(gmsh.model.occ)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(path))
+        gmsh.finalize()
+    COMM.Barrier()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_solids_of_a_step_file_are_bodies(folder, degree):
+    """A plate of 4 x 4 x 1 with a hole of radius 1, and a pin of .9 in it: volumes, areas, pair."""
+
+    def draw(occ):
+        plate, hole = occ.addBox(-2, -2, 0, 4, 4, 1), occ.addCylinder(0, 0, -1, 0, 0, 3, 1)
+        occ.cut([(3, plate)], [(3, hole)])
+        occ.addCylinder(0, 0, -1, 0, 0, 3, 0.9)
+
+    write_step(folder / "pin.step", draw)
+    mesh, bodies, faces = dm.meshing.read_step(folder / "pin.step", size=0.7, degree=degree)
+    assert {*bodies.names} == {"solid", "solid#2"} and len(faces.names) == 7 + 3
+    dx = ufl.Measure("dx", mesh, subdomain_data=bodies)
+    one = fem.Constant(mesh, 1.0)
+    volumes = [integral(one * dx(bodies.tag(name))) for name in ("solid", "solid#2")]
+    close = 0.05 if degree == 1 else 1e-3
+    assert volumes == pytest.approx([16 - np.pi, 3 * 0.81 * np.pi], rel=close)
+    _, contacts = dm.find_pairs(mesh, bodies, show=False)
+    assert len(contacts) == 1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"size": 0.0}, ("size is 0.0",)),
+        ({"size": 1e-4}, ("size is 0.0001", "half of the memory", "give at least")),
+        ({"size": 1.0, "degree": 3}, ("degree is 3",)),
+    ],
+)
+def test_step_files_that_are_refused(folder, options, words):
+    write_step(folder / "box.step", lambda occ: occ.addBox(0, 0, 0, 1, 1, 1))
+    with rejected(*words):
+        dm.meshing.read_step(folder / "box.step", **options)
+    write_step(folder / "face.step", lambda occ: occ.addRectangle(0, 0, 0, 1, 1))
+    with rejected("has no solids"):
+        dm.meshing.read_step(folder / "face.step", size=1.0)
+    with pytest.raises(OSError, match="no such file"):
+        dm.meshing.read_step(folder / "none.step", size=1.0)

@@ -316,9 +316,10 @@ class _Model:
             raise keyword.error("coordinates in another SYSTEM are not read: give x, y, z")
         read = [keyword.numbers(at, 3) for at in range(len(keyword.data))]
         x = np.array([[*at[1:], 0.0][:3] for at in read]).reshape(-1, 3)
-        for (number, *_), at in zip(read, x if moved is None else _move(moved, x), strict=True):
+        for number, *_ in read:
             self.rows["node"][f"{owner}{int(number)}"] = np.array([len(self.x)])
-            self.x.append(at)
+            self.x.append(np.empty(3))
+        self.x[len(self.x) - len(read) :] = [*(x if moved is None else _move(moved, x))]
         self.add("node", keyword.options.get("NSET"), owner, np.arange(-len(read), 0) + len(self.x))
 
     def read_elements(self, keyword: Keyword, owner: str, _: Any) -> None:
@@ -507,13 +508,13 @@ def full_cells(shape: Shape, cells: Longs, x: Floats) -> tuple[Longs, Floats, li
     given = np.array([*corners, *middles])[: cells.shape[1]]
     kind = basix.CellType[shape.cell]
     variant = basix.LagrangeVariant.equispaced
-    full = basix.create_element(basix.ElementFamily.P, kind, degree, variant).points
+    full = np.asarray(basix.create_element(basix.ElementFamily.P, kind, degree, variant).points)
     powers = np.array([*itertools.product(range(degree + 1), repeat=corners.shape[1])])
     simplex = len(corners) == corners.shape[1] + 1
     order = powers.sum(axis=1) if simplex else (powers * (powers > 1)).sum(axis=1)
     powers = powers[order <= degree]
-    at_full, at_given = ((y[:, None] ** powers).prod(axis=2) for y in (full, given))
-    values = at_full @ np.linalg.inv(at_given)
+    at = [(np.asarray(y)[:, None] ** powers).prod(axis=2) for y in (full, given)]
+    values = at[0] @ np.linalg.inv(at[1])
     values[np.abs(values) < 1e-12] = 0.0
     columns, new_x, sources = [], [x], []
     known = len(x)
@@ -600,20 +601,19 @@ def _distribute(comm: MPI.Intracomm, read: tuple[_Told, Longs, Floats] | None, n
             *(name, ", ".join(shared)),
         )
     number = np.asarray(domain.geometry.input_global_indices)
+    laws = [*zip(told.bodies, told.laws, strict=True)]
     deck = Deck(
         domain,
         Tags(cell_tags, {body: i for i, body in enumerate(told.bodies, 1)}),
         facet_tags,
         KINEMATICS[family],
-        {b: law for b, own in zip(told.bodies, told.laws, strict=True) if (law := _law(own))},
-        *(
-            {b: own[k] for b, own in zip(told.bodies, told.laws, strict=True) if k in own}
-            for k in ("DENSITY", "EXPANSION")
-        ),
+        {b: law for b, own in laws if (law := _law(own))},
+        {b: own["DENSITY"] for b, own in laws if "DENSITY" in own},
+        {b: own["EXPANSION"] for b, own in laws if "EXPANSION" in own},
         [],
         told.unread,
         surfaces,
-        {n: np.flatnonzero(np.isin(number, rows)) for n, rows in told.nodes.items()},
+        {n: np.flatnonzero(np.isin(number, r)).astype(np.int32) for n, r in told.nodes.items()},
     )
     for sort, place, given in told.joints:
         names = dict.fromkeys([given["slave"], given["master"]])
@@ -638,7 +638,7 @@ def _find_facets(domain: dmesh.Mesh, surfaces: Mapping[str, Longs]) -> dict[str,
     domain.topology.create_entities(dim - 1)
     domain.topology.create_connectivity(dim - 1, dim)
     facets = dmesh.exterior_facet_indices(domain.topology)
-    nodes = np.empty((0, 4), dtype=np.int32)
+    nodes: Ints = np.empty((0, 4), dtype=np.int32)
     if len(facets):  # dolfinx divides by their number
         nodes = dmesh.entities_to_geometry(domain, dim - 1, facets)
     count = {"tetrahedron": 3, "hexahedron": 4}.get(domain.topology.cell_name(), 2)
@@ -659,7 +659,7 @@ def _find_facets(domain: dmesh.Mesh, surfaces: Mapping[str, Longs]) -> dict[str,
 
 def _tag_facets(domain: dmesh.Mesh, surfaces: Mapping[str, Ints]) -> tuple[Tags, list[str]]:
     """Tags 1, 2 .. of surfaces in order, and those left out for facets of others; collective."""
-    taken = np.empty(0, dtype=np.int32)
+    taken: Ints = np.empty(0, dtype=np.int32)
     names, parts, left = {}, [], []
     for i, (name, facets) in enumerate(surfaces.items(), 1):
         if domain.comm.allreduce(int(np.isin(facets, taken).sum())):

@@ -63,7 +63,9 @@ def read_step(
             if comm.rank == 0:
                 if not file.is_file():
                     raise FileNotFoundError(f"path = {str(file)!r}: there is no such file")
-                gmsh = stack.enter_context(gmsh_model(options))
+                gmsh = stack.enter_context(gmsh_model())
+                for name, value in options.items():
+                    gmsh.option.setNumber(name, value)
                 names = _open(gmsh, file, size)
                 gmsh.model.mesh.generate(3)
                 gmsh.model.mesh.setOrder(degree)
