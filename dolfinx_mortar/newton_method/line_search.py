@@ -130,7 +130,7 @@ def search(
     """
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
     first, promise = problem.comm.allreduce(path.excess(0.0)), find_slope(problem, lin, path)
-    length, halvings, solid = 1.0, 0, problem.solid.volumes
+    length, halvings, solid, inverted = 1.0, 0, problem.solid.volumes, False
     why = "the line search found no step that lowers the energy"
     while length > ARMIJO:
         move(problem, path.at(length))
