@@ -83,7 +83,7 @@ class ContactProblem:
         committed: the state from which the next step starts, besides ``u`` and ``solid.state``:
             active sets, slips and ``level``.
         history: steps of `load_steps`, including those before a restored checkpoint.
-        comm, d, n, first_dof: ranks, dimension, owned nodes, global number of the first owned dof.
+        d, n, first_dof, comm: dimension, owned nodes, number of the first owned dof, ranks.
         X, fixed: coordinates (owned nodes, d), components (local nodes, d) with Dirichlet data.
         owned_u, K: u (n d,) at owned dofs, a view, and the tangent with respect to it.
     """
