@@ -24,7 +24,7 @@ CEILINGS = {
     "words of prose": 53_717,
     "words of strings": 13_069,
 }
-TOKENS_OF_TESTS = 348_192
+TOKENS_OF_TESTS = 348_252
 PUBLIC_NAMES = 43
 WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_460}
 SIMPLEST_STEP = {"files": 75, "functions": 668, "lines": 6_966}
