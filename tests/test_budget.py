@@ -20,9 +20,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 156,
-    "tokens of code": 291_516,
-    "words of prose": 53_717,
-    "words of strings": 13_069,
+    "tokens of code": 291_554,
+    "words of prose": 53_716,
+    "words of strings": 13_070,
 }
 TOKENS_OF_TESTS = 348_252
 PUBLIC_NAMES = 43

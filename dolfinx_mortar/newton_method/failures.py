@@ -114,8 +114,8 @@ def explain(
     if flowing:  # solvers report a singular matrix as a free body
         report.notes.append(seen)
         least = "reduce the load" if loaded else "take smaller steps"
-        seen, why = flowing, ["Without hardening a law carries no more than its limit load: "]
-        why[0] += f"{least}, or give the law hardening"
+        limit = "Without hardening a law carries no more than its limit load"
+        seen, why = flowing, [f"{limit}: {least}, or give the law hardening"]
     elif held := problem.held_by_contact():
         seen += f"; contact alone holds {'; '.join(held)}"
         if problem.system.has_friction:

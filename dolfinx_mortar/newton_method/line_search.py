@@ -45,9 +45,8 @@ class Path:
     slide: Floats  # (m, d - 1) in the step
     limits: Floats  # (m,) of friction
     pull: float  # -F.q of driven tools (one rank), and known friction
-    curve: Callable[
-        [float], Floats | float
-    ]  # (n,) of sides that turn as rigid bodies, beside the line
+    # (n,) of sides that turn as rigid bodies, beside the line
+    curve: Callable[[float], Floats | float]
 
     def at(self, t: float) -> Floats:
         """Displacement (n,) at t."""
