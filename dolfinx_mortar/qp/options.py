@@ -58,25 +58,20 @@ class SolverOptions:
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
-        return self._used(key, self.definite)
+        return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
 
     def of_definite(self, key: str) -> str:
         """Value that applies to definite matrices."""
-        return self._used(key, True)
-
-    def _used(self, key: str, definite: bool) -> str:
-        default = str(self._values(definite)[key])
-        return str(PETSc.Options(self.prefix).getString(key, default))
+        before, self.definite = self.definite, True
+        found, self.definite = self[key], before
+        return found
 
     @property
     def values(self) -> dict[str, Any]:
         """The options over the defaults."""
-        return self._values(self.definite)
-
-    def _values(self, definite: bool) -> dict[str, Any]:
-        methods = DEFAULTS if definite else DEFAULTS | GENERAL
+        methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
         values = methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
-        if not definite and values["pc_type"] == DEFAULTS["pc_type"]:
+        if not self.definite and values["pc_type"] == DEFAULTS["pc_type"]:
             values["pc_type"] = GENERAL["pc_type"]  # Cholesky reads one half of a matrix
         return values
 
