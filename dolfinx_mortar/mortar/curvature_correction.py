@@ -17,7 +17,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, flat
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, flat
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     arcs_of_chords,

@@ -15,7 +15,7 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
+from dolfinx_mortar.common.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments

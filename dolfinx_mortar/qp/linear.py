@@ -14,7 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,

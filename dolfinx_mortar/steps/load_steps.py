@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy.typing as npt
 
 from dolfinx import fem
+from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.steps.walk import Solves, read_way, walk
 
 

@@ -17,14 +17,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, Floats
-from dolfinx_mortar.newton_method.contacts import gap_round_off, round_off
-from dolfinx_mortar.newton_method.failures import StepFailed
-from dolfinx_mortar.newton_method.linearisation import Linearisation, to_displacement
-from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
+from dolfinx_mortar.common.arrays import EPS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.common.spaces import with_values
+from dolfinx_mortar.problem.contacts import gap_round_off, round_off
+from dolfinx_mortar.problem.linearisation import Linearisation, to_displacement
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.solid import volume_step
-from dolfinx_mortar.spaces import with_values
+from dolfinx_mortar.steps.failures import StepFailed
+from dolfinx_mortar.steps.subproblem import Iterate, Solution
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 # Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least length.
