@@ -23,7 +23,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import Arrays, all_at, two_bodies
 
 COMM = MPI.COMM_WORLD

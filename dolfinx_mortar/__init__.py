@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from dolfinx_mortar import materials, shapes
 from dolfinx_mortar.audit.pairs import find_pairs
+from dolfinx_mortar.common.step_report import Ledger, LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.common.tags import Tags
 from dolfinx_mortar.heat import Conductance, Heat
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
@@ -39,11 +41,9 @@ from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.step_report import Ledger, LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.time_steps import time_steps
-from dolfinx_mortar.tags import Tags
 from dolfinx_mortar.terms.inertia import Damping, Inertia
 from dolfinx_mortar.terms.loads import PointForce, PointSpring, Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm

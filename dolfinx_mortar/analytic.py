@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import xlogy
 
-from dolfinx_mortar.arguments import FINITE, POISSON, POSITIVE, array, check, check_all
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.arguments import FINITE, POISSON, POSITIVE, array, check, check_all
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
 
 __all__ = [
     "FirstYield",

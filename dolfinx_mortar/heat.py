@@ -17,12 +17,12 @@ from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arguments import check, instance, number
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arguments import check, instance, number
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import check_space
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
 from dolfinx_mortar.solid.laws import by_cells
-from dolfinx_mortar.spaces import check_space
 
 Law = float | fem.Function | Callable[[Floats, Floats], Any]
 

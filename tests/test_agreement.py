@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import COMM, ELASTIC, Bare, PressedBlocks, rejected
 

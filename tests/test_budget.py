@@ -19,15 +19,15 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 159,
-    "tokens of code": 315_744,
-    "words of prose": 54_970,
-    "words of strings": 13_392,
+    "files": 156,
+    "tokens of code": 291_554,
+    "words of prose": 53_716,
+    "words of strings": 13_070,
 }
-TOKENS_OF_TESTS = 359_900
+TOKENS_OF_TESTS = 348_252
 PUBLIC_NAMES = 43
-WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_500}
-SIMPLEST_STEP = {"files": 78, "functions": 739, "lines": 7_402}
+WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_460}
+SIMPLEST_STEP = {"files": 75, "functions": 668, "lines": 6_966}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),

@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar import compat
+from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing.two_bodies import distribute
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER

@@ -5,8 +5,8 @@ import resource
 
 import pytest
 
-from dolfinx_mortar.disk import CHECKPOINT, demand_space, is_checkpoint
-from dolfinx_mortar.spaces import check_space
+from dolfinx_mortar.common.disk import CHECKPOINT, demand_space, is_checkpoint
+from dolfinx_mortar.common.spaces import check_space
 
 pytestmark = pytest.mark.serial
 
@@ -33,7 +33,7 @@ def test_file_systems_that_cannot_tell(tmp_path, monkeypatch, number):
     def fail(*_):
         raise OSError(number, "not here")
 
-    monkeypatch.setattr("dolfinx_mortar.disk.os.posix_fallocate", fail)
+    monkeypatch.setattr("dolfinx_mortar.common.disk.os.posix_fallocate", fail)
     file = tmp_path / "out.h5"
     file.touch()
     demand_space(file, 10**6)

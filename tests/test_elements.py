@@ -6,6 +6,7 @@ import pytest
 
 import basix
 import dolfinx
+from dolfinx_mortar.common.spaces import CELLS, HIGHEST
 from dolfinx_mortar.geometry import plane as parts_module
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
@@ -21,7 +22,6 @@ from dolfinx_mortar.geometry.plane import (
     coefficients,
     meet,
 )
-from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]
 

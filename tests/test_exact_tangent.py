@@ -6,7 +6,7 @@ import pytest
 
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
-from dolfinx_mortar.newton_method.subproblem import Subproblem
+from dolfinx_mortar.steps.subproblem import Subproblem
 from tests.cases.finite_sliding import indentation, walk
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
 from tests.choice import quick

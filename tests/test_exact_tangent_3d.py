@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.newton_method.subproblem import Subproblem
+from dolfinx_mortar.steps.subproblem import Subproblem
 from tests.cases import meshes_3d
 from tests.cases.ball import STEEL, create_mesh
 from tests.cases.two_bodies import TwoBodies, create_problem, held

@@ -15,7 +15,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.compat import mesh_from_gmsh
+from dolfinx_mortar.common.compat import mesh_from_gmsh
 
 COMM = MPI.COMM_WORLD
 E, NU, RHO = 1.0, 0.3, 1.0

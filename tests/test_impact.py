@@ -8,8 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.newton_method import subproblem
-from dolfinx_mortar.report import energy_ledger
+from dolfinx_mortar.steps import energy_ledger, subproblem
 from tests.cases.meshes import LOWER, UPPER
 from tests.cases.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 from tests.cases.moving_bodies import Blocks, Rod, meeting

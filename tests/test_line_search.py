@@ -8,15 +8,15 @@ from mpi4py import MPI
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.arrays import EPS
-from dolfinx_mortar.newton_method import line_search
-from dolfinx_mortar.newton_method.linearisation import (
+from dolfinx_mortar.common.arrays import EPS
+from dolfinx_mortar.problem.linearisation import (
     find_balance,
     linearise,
     to_displacement,
 )
-from dolfinx_mortar.newton_method.subproblem import Solution
+from dolfinx_mortar.steps import line_search
 from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.subproblem import Solution
 from dolfinx_mortar.terms.sum import Terms
 from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, paper

@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
+from dolfinx_mortar.problem.linearisation import find_balance, linearise
 from tests.cases.meshes import TOP
 from tests.cases.pressed_blocks import PressedBlocks
 

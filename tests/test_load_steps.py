@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.step_report import StepReport
+from dolfinx_mortar.common.step_report import StepReport
 from dolfinx_mortar.steps import walk as walking
 from dolfinx_mortar.steps.newton import solve_step
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks

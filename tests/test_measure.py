@@ -11,13 +11,13 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx_mortar.algebra.parallel import maximum, norm
-from dolfinx_mortar.newton_method.contacts import (
+from dolfinx_mortar.problem.contacts import (
     Contacts,
     Scales,
     gap_round_off,
     measure,
 )
-from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
+from dolfinx_mortar.problem.linearisation import find_balance, linearise
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from tests.cases.friction import create as create_pushed

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar import compat, meshing
+from dolfinx_mortar import meshing
+from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing import two_bodies
 from tests.cases.integrals import integral
 

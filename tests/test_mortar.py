@@ -18,7 +18,7 @@ from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import outside_margin
 from dolfinx_mortar.mortar.surface import accumulate, create_surface
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.problem.contacts import Contacts
 from dolfinx_mortar.report import certificate
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.cases.meshes_3d import rotation, two_boxes

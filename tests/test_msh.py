@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.compat import cell_degree
+from dolfinx_mortar.common.compat import cell_degree
 from tests.cases.integrals import integral
 from tests.cases.msh_files import boxes, folder, msh_file, squares
 from tests.cases.pressed_blocks import rejected

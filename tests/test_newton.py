@@ -11,8 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
-from dolfinx_mortar.newton_method.linearisation import (
+from dolfinx_mortar.problem.contacts import Contacts, Scales, measure
+from dolfinx_mortar.problem.linearisation import (
     find_balance,
     linearise,
 )

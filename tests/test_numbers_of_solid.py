@@ -20,7 +20,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import mesh
 from dolfinx_mortar import analytic
-from dolfinx_mortar.kernels import compile_kernel, constants, tabulate
+from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import law_check
 from dolfinx_mortar.materials.law_check import law_at_point
 from dolfinx_mortar.materials.protocol import create_law

@@ -14,7 +14,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces.link import predict_active
-from dolfinx_mortar.newton_method.linearisation import find_balance
+from dolfinx_mortar.problem.linearisation import find_balance
 from tests import test_audit, test_finite_strain, test_line_search, test_multigrid
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case
@@ -24,11 +24,9 @@ from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
 LAYERS = (
-    "supports",
     "audit",
     "persistence",
     "problem",
-    "newton_method",
     "report",
     "steps",
     "interfaces",
@@ -37,9 +35,9 @@ PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.link": ("OVERLAP",),
     "audit.audit": ("COARSE",),
-    "newton_method.failures": ("SOFT", "SQUEEZED"),
-    "newton_method.line_search": ("ARMIJO",),
-    "newton_method.contacts": ("FORCING", "DIGIT"),
+    "steps.failures": ("SOFT", "SQUEEZED"),
+    "steps.line_search": ("ARMIJO",),
+    "problem.contacts": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_contact, test_stand_off, test_resolution, in
 # test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
@@ -48,7 +46,7 @@ OTHERS = {
     "interfaces.constraints",  # in test_friction_patch
     "interfaces.contact",
     "interfaces.obstacle",  # in test_obstacle
-    "newton_method.driven_tools",  # in test_driven_tools
+    "steps.driven_tools",  # in test_driven_tools
     "interfaces.interface",
     "interfaces.tie",
     "audit.audit",  # in test_stand_off
@@ -58,9 +56,9 @@ OTHERS = {
     "report.small_strain",
     # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",
-    "newton_method.subproblem",  # in test_finite_strain, too
+    "steps.subproblem",  # in test_finite_strain, too
     "steps.newton",
-    "report.energy_ledger",  # in test_dynamics
+    "steps.energy_ledger",  # in test_dynamics
     "persistence.tables",  # in those of checkpoints
 }
 

@@ -13,7 +13,7 @@ from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
-from dolfinx_mortar.newton_method.failures import describe_passing
+from dolfinx_mortar.steps.failures import describe_passing
 from tests.cases.close_fits import rings
 from tests.cases.hertz import create_mesh
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins

@@ -7,9 +7,9 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar import qp
-from dolfinx_mortar.arrays import EPS
+from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.interfaces import pretension as module
-from dolfinx_mortar.newton_method.driven_tools import find_drives
+from dolfinx_mortar.steps.driven_tools import find_drives
 from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, Blocks
 from tests.cases.bolted_joint import Joint
 from tests.cases.glued_bar import CELLS, CONFINED, NU, Bar, E, largest

@@ -10,8 +10,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, la
-from dolfinx_mortar.newton_method.linearisation import find_balance, to_displacement, to_reduced
-from dolfinx_mortar.supports.bodies import find_bodies
+from dolfinx_mortar.problem.linearisation import find_balance, to_displacement, to_reduced
+from dolfinx_mortar.solid.bodies import find_bodies
 from tests.cases.ball import create_problem as create_ball
 from tests.cases.block_piles import (
     ABOVE,

@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import find_constants
+from dolfinx_mortar.common.agreement import find_constants
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press

@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.problem.contacts import Contacts
 from dolfinx_mortar.report.resolution import oscillation
 from tests.cases.ball import create_problem
 from tests.cases.finite_sliding import indentation

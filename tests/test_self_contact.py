@@ -18,8 +18,8 @@ from dolfinx_mortar.mortar.self_contact import REACH, _divide
 from dolfinx_mortar.mortar.surface import (
     create_surface,
 )
-from dolfinx_mortar.newton_method.failures import describe_passing
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_crossings
+from dolfinx_mortar.steps.failures import describe_passing
 from tests.cases.block_piles import create_blocks
 from tests.cases.folds import (
     SKIN,

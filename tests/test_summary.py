@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.step_report import Iteration, StepReport
+from dolfinx_mortar.common.step_report import Iteration, StepReport
 from tests.cases.pressed_blocks import PressedBlocks
 
 

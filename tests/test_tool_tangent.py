@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.steps.subproblem import Subproblem
 from tests.tool_case import Block
 
 pytestmark = pytest.mark.serial

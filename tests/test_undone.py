@@ -15,8 +15,8 @@ from dolfinx import fem
 from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.condensed import Dense
 from dolfinx_mortar.qp.operator import Operator
-from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
+from dolfinx_mortar.steps.energy_ledger import EnergyLedger
 from tests import tool_case
 from tests.cases.pressed_blocks import Bare, PressedBlocks
 from tests.cases.states import state_of

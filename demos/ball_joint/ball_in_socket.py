@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
     TaggedMesh,

@@ -13,7 +13,7 @@ from PIL import Image
 from tee_stub import TeeStub
 
 import dolfinx_mortar as dm
-from dolfinx_mortar import compat
+from dolfinx_mortar.common import compat
 
 SCALE = 5.0  # of displacements
 Array = npt.NDArray[np.float64]

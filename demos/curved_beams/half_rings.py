@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 LOWER = (10.0, 12.0)  # mm, radii of the half ring that stands on y = 0, about (12, 0)

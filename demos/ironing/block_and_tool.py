@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.meshing.two_bodies import Arrays, TaggedMesh, all_at, two_bodies
 
 BLOCK = (12.0, 4.0)  # mm, from the origin

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.arguments import POISSON, POSITIVE, array, check, check_all
+from dolfinx_mortar.common.arguments import POISSON, POSITIVE, array, check, check_all
 
 
 @dataclass(frozen=True)

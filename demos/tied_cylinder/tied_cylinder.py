@@ -43,7 +43,7 @@ from ring_section import ring_section
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar import compat
+from dolfinx_mortar.common import compat
 
 BORE, OUTSIDE = 1.0, 1.3  # mm
 BETWEEN = 1.15  # mm, where the rings meet

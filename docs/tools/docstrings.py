@@ -87,7 +87,7 @@ def without_type(line: str) -> str:
 
 
 def named_types(signature: str) -> str:
-    """Return a signature in which array types have names, as in `dolfinx_mortar.arrays`.
+    """Return a signature in which array types have names, as in `dolfinx_mortar.common.arrays`.
 
     Defaults that are made anew for each object are three dots.
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What stands behind a statement: a role for the source of a function, a directive for a test.
 
-    {source}`dolfinx_mortar.newton_method.linearisation.linearise`
+    {source}`dolfinx_mortar.problem.linearisation.linearise`
 
     ```{test} test_qp.py::test_backends_agree
     ```

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import csr_of
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.common.arrays import Ints
 
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
 
 # the libraries that petsc4py is linked with
 _lib = ctypes.CDLL(PETSc.__file__)

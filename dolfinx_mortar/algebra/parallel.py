@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import Layout
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
 
 
 def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:

@@ -12,7 +12,7 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.flat import near_others
 from dolfinx_mortar.geometry.segments import FACING
@@ -27,8 +27,8 @@ from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, boxes_of, find_f
 from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import facets_at, mean_facet_length, nodal_normals
-from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free, name_of
-from dolfinx_mortar.supports.dirichlet import Dirichlet
+from dolfinx_mortar.solid.bodies import Bodies, Motion, find_free, name_of
+from dolfinx_mortar.solid.dirichlet import Dirichlet
 
 # Ratio of slave to master facets without a warning, half of that where the peak of a disc on a
 # block is still right to .7 % (6 % at 8).

@@ -5,6 +5,7 @@ dolfinx orders nodes freely, so that only the signs of the Jacobian within a cel
 the sides of a facet on which two simplices lie.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -14,10 +15,14 @@ import numpy as np
 import basix
 from dolfinx import la
 from dolfinx.mesh import Mesh
-from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arrays import Bools, Floats, Longs
+from dolfinx_mortar.common.spaces import HIGHEST
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.spaces import HIGHEST
+from dolfinx_mortar.interfaces.coupling import Sides
+from dolfinx_mortar.solid.dirichlet import Dirichlet
+from dolfinx_mortar.solid.kinematics import on_axis
+from dolfinx_mortar.solid.solid import Solid
 
 SIMPLICES = ("triangle", "tetrahedron")
 CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
@@ -110,3 +115,30 @@ def _reject(comm: MPI.Comm, x: Floats, bad: Bools, what: str, remedy: str) -> No
     first, *others = sorted(tuple(float(f"{v:.4g}") + 0.0 for v in centre) for centre in every)
     more = " and elsewhere" if others else ""
     raise ValueError(f"mesh: {count} of {total} cells {what}, around {first}{more}; {remedy}")
+
+
+def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
+    """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
+
+    A radial displacement there makes u_r / r infinite, or merely large on a mesh.
+    """
+    V, i = solid.V, solid.kinematics.radius
+    if i is None:
+        return
+    axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates())
+    free = axis[: len(supports.owned)] & ~supports.owned[:, i]
+    missing = V.mesh.comm.allreduce(int(np.sum(free)), op=MPI.SUM)
+    if missing:
+        raise ValueError(
+            f"bcs: {missing} nodes on the axis r = 0 are not held in r, where u_r / r has no limit "
+            f"otherwise; prescribe 0 on V.sub({i}) at the nodes with x[{i}] = 0"
+        )
+    for side in sides:
+        for surface, name in zip(side.surfaces, ("slave", "master"), strict=False):
+            flat = axis[surface.nodes[surface.facets]].all(axis=1)
+            bad = V.mesh.comm.allreduce(int(np.sum(flat)), op=MPI.SUM)
+            if bad:
+                raise ValueError(
+                    f"{name}={surface.label}: {bad} facets lie on the axis r = 0, which is inside "
+                    "the body; leave them out of the tag"
+                )

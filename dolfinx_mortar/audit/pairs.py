@@ -12,13 +12,15 @@ import scipy
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
-from dolfinx_mortar import compat
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arguments import POSITIVE, check, check_optional, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Ints, Longs
 from dolfinx_mortar.audit.audit import COARSE
 from dolfinx_mortar.audit.mesh_audit import check_mesh
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import POSITIVE, check, check_optional, instance
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Ints, Longs
+from dolfinx_mortar.common.spaces import check_space
+from dolfinx_mortar.common.tags import Tags, names_of
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
@@ -32,10 +34,8 @@ from dolfinx_mortar.mortar.facing_bodies import (
     find_facing,
 )
 from dolfinx_mortar.mortar.surface import find_boundary
+from dolfinx_mortar.solid.bodies import find_bodies
 from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
-from dolfinx_mortar.spaces import check_space
-from dolfinx_mortar.supports.bodies import find_bodies
-from dolfinx_mortar.tags import Tags, names_of
 
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 

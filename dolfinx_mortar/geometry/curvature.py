@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import EPS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,

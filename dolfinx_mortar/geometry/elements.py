@@ -13,7 +13,7 @@ from functools import cached_property, reduce
 import numpy as np
 
 import basix
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

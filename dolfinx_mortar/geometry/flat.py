@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
     Facets,

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, turns

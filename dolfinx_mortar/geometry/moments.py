@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps, place
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule

@@ -10,7 +10,7 @@ Numba's cache of a caller in another file does not notice changes here: touch th
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD

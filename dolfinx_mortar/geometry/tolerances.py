@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS
+from dolfinx_mortar.common.arrays import EPS
 
 ROUND_OFF = 512 * EPS
 """Error of a length relative to its facet, for coordinates up to some hundred times as large; where

@@ -20,13 +20,13 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import ProductOfBases
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import with_ghosts
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Pattern,
     Sides,
     create_blocks,
-    with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link

@@ -12,9 +12,9 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import NOT_NEGATIVE, Rule, check, is_number
-from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats, Ints
-from dolfinx_mortar.spaces import check_nodal
+from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, check, is_number
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.common.spaces import check_nodal
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,10 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import check, one_of
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arguments import check, one_of
+from dolfinx_mortar.common.arrays import Bools, Floats
+from dolfinx_mortar.common.spaces import check_mesh
+from dolfinx_mortar.common.tags import label, tag_of
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact_tangent import ContactDerivatives
@@ -37,8 +39,6 @@ from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing
-from dolfinx_mortar.spaces import check_mesh
-from dolfinx_mortar.tags import label, tag_of
 
 # Least free part of a node's normal for a multiplier, which may exceed the free force tenfold.
 MIN_FREE_NORMAL = 0.1

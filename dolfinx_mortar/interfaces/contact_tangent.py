@@ -22,7 +22,7 @@ from dolfinx_mortar.algebra.csr import (
     Triplets,
     owned_rows,
 )
-from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
 from dolfinx_mortar.interfaces.coupling import CoupledSides, on_facets
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners

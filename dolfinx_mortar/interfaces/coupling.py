@@ -18,17 +18,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx_mortar.algebra.csr import BlockMatrix
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import with_ghosts
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
 from dolfinx_mortar.mortar.common_normals import CommonNormals, Spreads
@@ -37,8 +38,6 @@ from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import Surface, accumulate
-
-S = TypeVar("S", np.bool_, np.int32)
 
 
 @dataclass(frozen=True)
@@ -159,14 +158,6 @@ def create_pattern(
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
-
-
-def with_ghosts(V: fem.FunctionSpace, owned: npt.NDArray[S]) -> npt.NDArray[S]:
-    """Marks or numbers (owned nodes,) extended to ghosts; collective."""
-    vector = la.vector(V.dofmap.index_map, 1)
-    vector.array[: len(owned)] = owned
-    vector.scatter_forward()
-    return vector.array.astype(owned.dtype)
 
 
 def mark(surface: Surface) -> Bools:

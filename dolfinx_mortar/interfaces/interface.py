@@ -16,7 +16,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import is_defined_here, named, raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.tags import label, tag_of
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     check_constraints,
@@ -38,7 +39,6 @@ from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
-from dolfinx_mortar.tags import label, tag_of
 
 # Default least angle of an edge: circles of at least nine facets are smooth, chamfers not.
 FEATURE_ANGLE = 40.0

@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
+from dolfinx_mortar.common.spaces import with_ghosts
 from dolfinx_mortar.interfaces.constraints import ROOM, SlipLimits
-from dolfinx_mortar.interfaces.coupling import CoupledSides, relative_motions, with_ghosts
+from dolfinx_mortar.interfaces.coupling import CoupledSides, relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners, partners_on_master

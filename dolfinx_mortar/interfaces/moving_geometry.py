@@ -23,7 +23,7 @@ import scipy
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners

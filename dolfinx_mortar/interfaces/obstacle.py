@@ -17,8 +17,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
-from dolfinx_mortar.arguments import check_optional
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
+from dolfinx_mortar.common.arguments import check_optional
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives

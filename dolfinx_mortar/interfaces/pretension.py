@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.geometry.facets import area_vectors, tributary_weights
 from dolfinx_mortar.interfaces.coupling import Sides
 from dolfinx_mortar.mortar.surface import Surface, facets_at

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FrictionLaw
 from dolfinx_mortar.interfaces.coupling import Sides
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arguments import array, check
-from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arguments import array, check
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Force
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides

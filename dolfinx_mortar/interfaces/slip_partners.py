@@ -26,7 +26,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
 from dolfinx_mortar.mortar.surface import accumulate

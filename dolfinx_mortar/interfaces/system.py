@@ -15,7 +15,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, is_ours, maximum
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.spaces import with_ghosts, with_values
 from dolfinx_mortar.interfaces.basis import (
     Claims,
     Transformation,
@@ -32,7 +33,6 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
-    with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import (
     Interface,
@@ -53,7 +53,6 @@ from dolfinx_mortar.mortar.surface import (
     find_boundary,
     mean_facet_length,
 )
-from dolfinx_mortar.spaces import with_values
 
 
 @dataclass(frozen=True)

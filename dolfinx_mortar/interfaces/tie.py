@@ -12,8 +12,9 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import array, check, check_optional, number
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arguments import array, check, check_optional, number
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.spaces import check_mesh, check_nodal, check_real
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.contact import MortarInterface
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
@@ -27,7 +28,6 @@ from dolfinx_mortar.interfaces.pretension import (
 )
 from dolfinx_mortar.mortar.pairing import Weight
 from dolfinx_mortar.shapes.shape import check_unit
-from dolfinx_mortar.spaces import check_mesh, check_nodal, check_real
 from ufl.core.expr import Expr
 
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None

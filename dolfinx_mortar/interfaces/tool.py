@@ -14,8 +14,8 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import array, check, check_optional
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.arguments import array, check, check_optional
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import ufl
-from dolfinx_mortar.arguments import check, one_of
-from dolfinx_mortar.arrays import EPS
+from dolfinx_mortar.common.arguments import check, one_of
+from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import CheckedLaw, Parameter, Range, check_parameters
 from dolfinx_mortar.materials.von_mises import YIELD_TOLERANCE

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.logarithmic import as_tensors

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar import arguments
-from dolfinx_mortar.arrays import EPS, Floats, Ints
-from dolfinx_mortar.kernels import compile_kernel, constants, tabulate
+from dolfinx_mortar.common import arguments
+from dolfinx_mortar.common.arrays import EPS, Floats, Ints
+from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,

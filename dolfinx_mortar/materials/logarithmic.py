@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
+from dolfinx_mortar.common.arrays import Floats, Ints
+from dolfinx_mortar.common.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
 from dolfinx_mortar.materials.response import (

@@ -9,7 +9,7 @@ of F and P, in space nine.
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import LIMIT
+from dolfinx_mortar.common.arrays import LIMIT
 from dolfinx_mortar.materials.tensor import INDEX
 
 IDENTITY = np.eye(3)

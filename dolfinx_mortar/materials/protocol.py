@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
-from dolfinx_mortar.arguments import Rule, check, instance, number, one_of
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arguments import Rule, check, instance, number, one_of
+from dolfinx_mortar.common.arrays import Bools, Floats
 from ufl.core.expr import Expr
 
 Parameter: TypeAlias = float | Expr

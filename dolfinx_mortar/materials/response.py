@@ -19,8 +19,8 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Bools, Floats, Ints, flat
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
@@ -309,7 +309,7 @@ class PointValues:
         found = np.zeros(len(self.stress), dtype=bool)
         for part in parts:
             if not np.isfinite(part.sum()):  # faster than a test of each
-                found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
+                found |= ~np.isfinite(flat(part)).all(axis=1)
         return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arrays import EPS
+from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,

@@ -18,16 +18,16 @@ import basix
 import basix.ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.tags import Tags
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.von_mises import VonMises
-from dolfinx_mortar.tags import Tags
 
 log = logging.getLogger(__name__)
 

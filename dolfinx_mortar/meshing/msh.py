@@ -14,13 +14,13 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Longs
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.tags import Tags
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
-from dolfinx_mortar.tags import Tags
 
 log = logging.getLogger(__name__)
 

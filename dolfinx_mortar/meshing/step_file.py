@@ -8,12 +8,12 @@ from typing import Any
 
 from mpi4py import MPI
 
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import POSITIVE, check, instance, integer
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arguments import POSITIVE, check, instance, integer
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.tags import Tags
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
-from dolfinx_mortar.tags import Tags
 
 BYTES = 2_000  # of a tetrahedron with its nodes in Gmsh, measured with 4.13: 1.3 to 1.8 kB
 

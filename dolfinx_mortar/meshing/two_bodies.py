@@ -14,11 +14,11 @@ import basix
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import POSITIVE, array, check, number, one_of
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
-from dolfinx_mortar.tags import Tags
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import POSITIVE, array, check, number, one_of
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.tags import Tags
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 

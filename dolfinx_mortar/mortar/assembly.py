@@ -16,10 +16,11 @@ import numpy as np
 import scipy
 
 import dolfinx
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import check_space, find_positions
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
 from dolfinx_mortar.mortar.facing_bodies import check_angle
@@ -35,7 +36,6 @@ from dolfinx_mortar.mortar.surface import (
     find_boundary,
     send,
 )
-from dolfinx_mortar.spaces import check_space, find_positions
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import STEP
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments

@@ -17,7 +17,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, flat
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     arcs_of_chords,
@@ -164,7 +164,7 @@ def find_shape(
     """Normals of a side at its nodes at X, or curvatures of curved facets; collective."""
     if surface.curved:
         K = own_curvatures(facets_at(surface, surface.X))
-        return nodal_means(surface, K.reshape(len(K), -1)).reshape(-1, *K.shape[1:])
+        return nodal_means(surface, flat(K)).reshape(-1, *K.shape[1:])
     return smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle, mirrors)
 
 
@@ -184,7 +184,7 @@ def find_smooth_sides(
         *n, is_open, sharp, jumps = receive(pairing, np.column_stack(columns)).T
         other = NodeNormals(np.stack(n, axis=1), is_open > 0.0, sharp > 0.0, jumps > 0.0)
     else:
-        other = receive(pairing, other.reshape(len(other), -1)).reshape(-1, *other.shape[1:])
+        other = receive(pairing, flat(other)).reshape(-1, *other.shape[1:])
     return (
         _over(facets_at(slave, slave.X), own, slave.facets, _count_edges(own, slave.owned)),
         _over(facets, other, pairing.master_facets, count),

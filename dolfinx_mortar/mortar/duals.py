@@ -24,7 +24,7 @@ import numpy as np
 
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import (
+from dolfinx_mortar.common.arrays import (
     HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
     TINY,

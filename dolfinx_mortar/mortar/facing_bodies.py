@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.arguments import check, number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arguments import check, number
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import (
     Facets,
     are_inside,

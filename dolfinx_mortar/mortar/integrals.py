@@ -16,7 +16,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import (
     Facets,
     facet_normals,

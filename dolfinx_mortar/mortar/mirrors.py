@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Bools, Floats
 from dolfinx_mortar.geometry.curvature import one_ring_sums
 from dolfinx_mortar.geometry.facets import facet_normals, unit
 from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes

@@ -15,7 +15,7 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments
@@ -158,7 +158,7 @@ def integrate_motions(
         part = slice(first, first + CHUNK)
         A = motions(part)
         for i, P in enumerate(Phi):
-            rows = A[:, :, i].reshape(len(A), -1)
+            rows = flat(A[:, :, i])
             blocks[i] += sums_of_products(P[part], rows, segments.pair[part], len(pairing.pairs))
     components = np.moveaxis(blocks.reshape(d, -1, k, m, d), 4, 1).reshape(d * d, -1, k, m)
     columns = [pairing.M.sum(values) for values in components]

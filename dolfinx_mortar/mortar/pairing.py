@@ -17,7 +17,7 @@ import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank, values_at
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import (
     are_facing,

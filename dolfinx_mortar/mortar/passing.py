@@ -23,7 +23,14 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import (
+    HALF_OF_DIGITS,
+    QUARTER_OF_DIGITS,
+    Bools,
+    Floats,
+    Ints,
+    Longs,
+)
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import find_passing, flat_parts

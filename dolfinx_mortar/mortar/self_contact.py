@@ -13,7 +13,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import facet_distances
 

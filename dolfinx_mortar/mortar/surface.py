@@ -14,9 +14,11 @@ import numpy.typing as npt
 
 import basix
 import dolfinx
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
-from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import check_space, connected_parts
+from dolfinx_mortar.common.tags import check_entities, label, labels, tag_of
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -30,8 +32,6 @@ from dolfinx_mortar.geometry.facets import (
 from dolfinx_mortar.geometry.flat import thickness
 from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, groups_in_space
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.spaces import check_space, connected_parts
-from dolfinx_mortar.tags import check_entities, label, labels, tag_of
 
 _MOST_WARPED = 0.3
 """Least quality of facets, see `distortions`: the cosine between the normal at a corner and the

@@ -16,7 +16,7 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Blocks
-from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import CHUNK, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import line
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.curvature import height_table, node_pairs

@@ -15,14 +15,14 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem, plot
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import FLAG, NUMBER, check
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import FLAG, NUMBER, check
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.spaces import CELLS, HIGHEST
 from dolfinx_mortar.materials.tensor import tensor_of
 from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert, new_step
-from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 log = logging.getLogger(__name__)
 

@@ -17,9 +17,9 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import raise_together, raised_together
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.disk import (
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.disk import (
     demand_space,
     draft_of,
     is_checkpoint,

@@ -16,11 +16,13 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
-from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import SAME, Floats
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arguments import as_numbers
+from dolfinx_mortar.common.arrays import SAME, Floats
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.spaces import set_owned
+from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.materials.protocol import named_parameters
@@ -33,8 +35,6 @@ from dolfinx_mortar.persistence.committed import (
 )
 from dolfinx_mortar.persistence.tables import Values, find_places, read_about, read_tables, write
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.spaces import set_owned
-from dolfinx_mortar.step_report import LoadStep
 
 NODES, POINTS, SLAVES = "nodes", "integration points", "slave nodes of interfaces[{}]"
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")

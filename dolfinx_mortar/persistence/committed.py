@@ -10,13 +10,13 @@ from typing import Any
 from mpi4py import MPI
 
 from dolfinx import fem
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats
+from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.solid.dirichlet import Dirichlet
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, ask_term
-from dolfinx_mortar.step_report import LoadStep
-from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ import scipy
 
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import CHUNK, SAME, Floats, Longs
-from dolfinx_mortar.disk import (
+from dolfinx_mortar.common.arrays import CHUNK, SAME, Floats, Longs
+from dolfinx_mortar.common.disk import (
     CHECKPOINT,
     demand_space,
     draft_of,
@@ -42,7 +42,7 @@ from dolfinx_mortar.disk import (
     replace_by_draft,
     space_for,
 )
-from dolfinx_mortar.spaces import means_around
+from dolfinx_mortar.common.spaces import means_around
 
 FORMAT = 9  # raise this when the meaning of the content changes
 HEAD = 512  # bytes: HDF5's smallest "user block"

@@ -23,15 +23,15 @@ import numpy as np
 
 from dolfinx import fem, plot
 from dolfinx import mesh as dmesh
-from dolfinx_mortar import compat
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check, check_optional, instance, one_of
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import check, check_optional, instance, one_of
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.spaces import CELLS
+from dolfinx_mortar.common.tags import names_of, tags_of
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import connect, facet_nodes
-from dolfinx_mortar.spaces import CELLS
-from dolfinx_mortar.tags import names_of, tags_of
 
 __all__ = ["field", "mesh", "pressure"]
 

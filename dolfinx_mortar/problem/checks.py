@@ -12,9 +12,9 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
-from dolfinx_mortar.arguments import (
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import (
     NUMBER,
     check,
     check_optional,
@@ -23,7 +23,7 @@ from dolfinx_mortar.arguments import (
     number,
     one_of,
 )
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
 

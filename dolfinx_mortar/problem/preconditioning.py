@@ -6,11 +6,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.common.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.qp import Change
-from dolfinx_mortar.supports.bodies import Bodies, rigid_motions
-from dolfinx_mortar.supports.dirichlet import Dirichlet
+from dolfinx_mortar.solid.bodies import Bodies, rigid_motions
+from dolfinx_mortar.solid.dirichlet import Dirichlet
 
 
 class UnknownsOfBodies:

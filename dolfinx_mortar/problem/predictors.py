@@ -18,15 +18,15 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats
+from dolfinx_mortar.common.spaces import with_values
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.solid.bodies import Bodies
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.spaces import with_values
-from dolfinx_mortar.supports.bodies import Bodies
 
 
 def predict(

@@ -26,9 +26,11 @@ from dolfinx_mortar.algebra.parallel import (
     raise_together,
     raised_together,
 )
-from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
-from dolfinx_mortar.audit.mesh_audit import check_mesh
+from dolfinx_mortar.audit.mesh_audit import check_axis, check_mesh
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import with_values
+from dolfinx_mortar.common.step_report import LoadStep, Timings
 from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -40,12 +42,10 @@ from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
+from dolfinx_mortar.solid.bodies import Bodies, find_bodies, with_ties
+from dolfinx_mortar.solid.dirichlet import Dirichlet, check_targets, create_dirichlet
 from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.spaces import with_values
-from dolfinx_mortar.step_report import LoadStep, Timings
-from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.supports.dirichlet import Dirichlet, check_axis, check_targets, create_dirichlet
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
@@ -83,7 +83,7 @@ class ContactProblem:
         committed: the state from which the next step starts, besides ``u`` and ``solid.state``:
             active sets, slips and ``level``.
         history: steps of `load_steps`, including those before a restored checkpoint.
-        comm, d, n, first_dof: ranks, dimension, owned nodes, global number of the first owned dof.
+        d, n, first_dof, comm: dimension, owned nodes, number of the first owned dof, ranks.
         X, fixed: coordinates (owned nodes, d), components (local nodes, d) with Dirichlet data.
         owned_u, K: u (n d,) at owned dofs, a view, and the tangent with respect to it.
     """
@@ -139,7 +139,8 @@ class ContactProblem:
         self.contacts: list[Any] = [i for i in self.interfaces if i.unilateral]
         self.ties: list[Any] = [i for i in self.interfaces if not i.unilateral]
         bodies = find_bodies(self.V, kinematics.rigid_motions)
-        self.bodies: Bodies = with_ties(bodies, self.system.sides)
+        joined = [s for s in self.system.sides if not s.unilateral and s.master]
+        self.bodies: Bodies = with_ties(bodies, [s.on_slave | s.on_master for s in joined])
         self.terms.meet(self.system.can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):

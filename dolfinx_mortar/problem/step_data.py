@@ -10,7 +10,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import InterfaceSystem

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import from_callbacks
-from dolfinx_mortar.arrays import EPS, LIMIT, Floats
+from dolfinx_mortar.common.arrays import EPS, LIMIT, Floats
 from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
     QPNotSolved,

@@ -23,7 +23,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, Ints
 
 
 @dataclass(frozen=True)

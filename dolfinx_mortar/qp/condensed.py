@@ -21,7 +21,7 @@ from numpy.linalg import norm
 
 from dolfinx_mortar.algebra.congruence import ContextOf
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.arrays import (
+from dolfinx_mortar.common.arrays import (
     EPS,
     QUARTER_OF_DIGITS,
     ROUND_OFF,

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
-from dolfinx_mortar.arrays import LIMIT, ROUND_OFF, Actives, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import LIMIT, ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
     Friction,

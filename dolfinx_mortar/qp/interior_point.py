@@ -8,7 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import from_callbacks
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
 from dolfinx_mortar.qp.held import SHARE, State

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,
@@ -292,8 +292,8 @@ class LinearSolver:
         setup, operator = self.setup, self._operator
         if self.direct or setup.preconditioner.held is None:  # no system had to be solved
             self.factorise(operator.held)
-        if self.negative_pivots() > 0 or self.direct:
-            return self.negative_pivots() > 0
+        if (negative := self.negative_pivots() > 0) or self.direct:
+            return negative
         setup.preconditioner.follow(operator.held)
         return meets_negative_curvature(operator, setup.ksp.getPC(), setup.max_iterations)
 

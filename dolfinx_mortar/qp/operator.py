@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf, decouple
-from dolfinx_mortar.arrays import ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
 # Part of |b| / sqrt(n): 1e-4 to 0.1 found all negative eigenvalues.

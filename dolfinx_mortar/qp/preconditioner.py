@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
 from dolfinx_mortar.algebra.csr import call, has
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions

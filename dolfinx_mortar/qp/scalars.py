@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf
 from dolfinx_mortar.algebra.parallel import norm
-from dolfinx_mortar.arrays import (
+from dolfinx_mortar.common.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
     QUARTER_OF_DIGITS,

@@ -8,8 +8,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar import arguments
-from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.common import arguments
+from dolfinx_mortar.common.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.held import State, nearest

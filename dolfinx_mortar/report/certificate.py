@@ -11,17 +11,17 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.step_report import Certificate, StepReport
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
-from dolfinx_mortar.newton_method.contacts import Contacts, Residuals, find_sliders, gap_round_off
-from dolfinx_mortar.newton_method.linearisation import Balance, growth
 from dolfinx_mortar.persistence.committed import Slips
+from dolfinx_mortar.problem.contacts import Contacts, Residuals, find_sliders, gap_round_off
+from dolfinx_mortar.problem.linearisation import Balance, growth
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
-from dolfinx_mortar.step_report import Certificate, StepReport
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:

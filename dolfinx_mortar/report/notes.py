@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS
+from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
-from dolfinx_mortar.newton_method.contacts import Contacts, gap_round_off
+from dolfinx_mortar.problem.contacts import Contacts, gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.certificate import StepEnd
 from dolfinx_mortar.report.penetration import notes_on_crossings, notes_on_overlaps
@@ -22,7 +23,6 @@ from dolfinx_mortar.report.small_strain import (
     notes_on_lost_stress,
     notes_on_small_strain,
 )
-from dolfinx_mortar.step_report import Note
 
 log = logging.getLogger(__name__)
 

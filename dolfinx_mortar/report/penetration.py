@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -38,9 +39,8 @@ from dolfinx_mortar.mortar.operators import whole_facets
 from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
-from dolfinx_mortar.newton_method.contacts import DIGIT
+from dolfinx_mortar.problem.contacts import DIGIT
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import Note
 
 SUNK = 0.05
 """Share of the size of a facet up to which sides may lie in each other without a note.

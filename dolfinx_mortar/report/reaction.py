@@ -14,19 +14,19 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import array, check, is_integer
-from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import array, check, is_integer
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.compat import on_same_mesh
+from dolfinx_mortar.common.tags import label, labels, names_of, tag_of
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import check_tags
-from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_conditions, check_problem
+from dolfinx_mortar.problem.linearisation import Balance, support_slots
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.supports.dirichlet import marked_dofs, prescribed_dofs
-from dolfinx_mortar.tags import label, labels, names_of, tag_of
+from dolfinx_mortar.solid.dirichlet import marked_dofs, prescribed_dofs
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.audit.audit import SPOILT, are_flat
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, find_facing, point_gaps
@@ -21,9 +22,8 @@ from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.operators import WholeSide, mean_values, whole_facets
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import coordinates, mean_facet_length, sum_at_nodes
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.problem.contacts import Contacts
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import Note
 
 # Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are at most 9 % with 5
 # nodes and 3 % with 7 in 2D, 14 % with 9 and 4 % with 17 in 3D.

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.disk import check_path
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.problem.checks import check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import LoadStep
 
 
 def summarise(step: LoadStep) -> dict[str, Any]:

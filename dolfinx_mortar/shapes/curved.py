@@ -17,7 +17,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, LIMIT, Floats, Longs
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, LIMIT, Floats, Longs
 from dolfinx_mortar.shapes.shape import Distance, Shape, unit_vectors
 
 FACE, EDGE, POINT = 0, 1, 4

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arguments import check, check_optional
-from dolfinx_mortar.arrays import EPS, Floats
-from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
+from dolfinx_mortar.common.arguments import check, check_optional
+from dolfinx_mortar.common.arrays import EPS, Floats
+from dolfinx_mortar.common.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.shapes.shape import (
     LENGTH,
     POINT,

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from dolfinx_mortar.arguments import FLAG, array, check
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.arguments import FLAG, array, check
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.shapes.curved import Curved
 from dolfinx_mortar.shapes.shape import CREASE, refuse, unit_vectors
 

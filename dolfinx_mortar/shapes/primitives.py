@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dolfinx_mortar.arguments import array, check, instance, number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, SAME, Floats
+from dolfinx_mortar.common.arguments import array, check, instance, number
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, SAME, Floats
 from dolfinx_mortar.shapes.shape import (
     LENGTH,
     POINT,

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arguments import Rule, array, check, instance, is_number, number
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx_mortar.common.arguments import Rule, array, check, instance, is_number, number
+from dolfinx_mortar.common.arrays import Bools, Floats, Longs
 
 
 @dataclass(frozen=True)

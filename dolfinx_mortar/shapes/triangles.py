@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from dolfinx_mortar.arguments import FLAG, array, check
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.arguments import FLAG, array, check
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.shapes.curved import Curved
 from dolfinx_mortar.shapes.shape import CREASE, Distance, refuse
 

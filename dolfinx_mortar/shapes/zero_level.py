@@ -5,7 +5,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from dolfinx_mortar.arrays import LIMIT, ROUND_OFF, TINY, Floats, Longs
+from dolfinx_mortar.common.arrays import LIMIT, ROUND_OFF, TINY, Floats, Longs
 from dolfinx_mortar.shapes.shape import Shape
 
 GRID = {2: 400, 3: 60}

@@ -17,7 +17,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.csr import csr_of, set_csr
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.solid.term import assemble, create_vector
 from ufl.core.expr import Expr
 

@@ -12,8 +12,9 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arguments import array, check
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
+from dolfinx_mortar.common.arguments import array, check
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Ints
+from dolfinx_mortar.common.tags import label
 from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.sources import (
@@ -24,7 +25,6 @@ from dolfinx_mortar.solid.sources import (
     create_source,
     point_function,
 )
-from dolfinx_mortar.tags import label
 from ufl.algorithms.analysis import extract_arguments
 from ufl.core.expr import Expr
 

@@ -15,7 +15,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.jit import get_options
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import GRADIENT, contract

@@ -16,8 +16,8 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import check, one_of
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.common.arguments import check, one_of
+from dolfinx_mortar.common.arrays import Floats, Ints
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import tensor_of
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain

@@ -11,8 +11,8 @@ import numpy as np
 import ufl
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arguments import Rule, check
-from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.common.arguments import Rule, check
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr

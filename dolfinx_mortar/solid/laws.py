@@ -16,8 +16,9 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arguments import check
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.tags import by_tag, check_entities, labels, tags_of
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import (
     RESERVED,
@@ -39,7 +40,6 @@ from dolfinx_mortar.solid.sources import (
     middle_of,
     point_function,
 )
-from dolfinx_mortar.tags import by_tag, check_entities, labels, tags_of
 from ufl.checks import is_cellwise_constant
 from ufl.core.expr import Expr
 

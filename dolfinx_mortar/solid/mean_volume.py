@@ -27,15 +27,15 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import check, one_of
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arguments import check, one_of
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import set_owned
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
 from dolfinx_mortar.solid.term import assemble, create_vector
-from dolfinx_mortar.spaces import set_owned
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr

@@ -14,8 +14,9 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import Bools, Floats
+from dolfinx_mortar.common.tags import names_of
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
@@ -31,7 +32,6 @@ from dolfinx_mortar.solid.sources import (
     point_function,
     unchanged,
 )
-from dolfinx_mortar.tags import names_of
 
 # Zero where no law defines them. Name -> whether it is a tensor.
 PLASTIC_FIELDS = {"plastic_strain": True, "back_stress": True, "plastic": False}

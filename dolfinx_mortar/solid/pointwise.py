@@ -13,8 +13,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import (

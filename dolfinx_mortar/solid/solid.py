@@ -14,10 +14,11 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
-from dolfinx_mortar.arguments import FLAG, check, instance, integer
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import FLAG, check, instance, integer
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import check_real, check_space
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.response import with_normal
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
@@ -42,7 +43,6 @@ from dolfinx_mortar.solid.points import (
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
 from dolfinx_mortar.solid.sources import unchanged
 from dolfinx_mortar.solid.term import Term, assemble
-from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first.
 OUTPUT_FIELDS = (

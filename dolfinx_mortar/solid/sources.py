@@ -14,11 +14,11 @@ import numpy as np
 import basix.ufl
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arrays import Floats, Ints
+from dolfinx_mortar.common.spaces import check_real
 from dolfinx_mortar.materials.tensor import COMPONENTS, to_components
-from dolfinx_mortar.spaces import check_real
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 

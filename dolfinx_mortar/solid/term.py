@@ -14,7 +14,7 @@ from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import add_blocks
 from dolfinx_mortar.algebra.parallel import is_ours, named, raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 
 
 class Term(ABC):

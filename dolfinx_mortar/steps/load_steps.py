@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar.arguments import check_optional
+from dolfinx_mortar.common.arguments import check_optional
+from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.steps.walk import Solves, read_way, walk
 
 

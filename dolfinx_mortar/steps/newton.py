@@ -15,14 +15,17 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, maximum, ratio
-from dolfinx_mortar.arguments import NUMBER, check_optional
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import NUMBER, check_optional
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import mean_cell_sizes
+from dolfinx_mortar.common.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import predict_active
-from dolfinx_mortar.newton_method import driven_tools, failures
-from dolfinx_mortar.newton_method.contacts import (
+from dolfinx_mortar.persistence.committed import Before, Gained
+from dolfinx_mortar.problem.checks import check_controls, check_problem
+from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
     Residuals,
@@ -34,22 +37,19 @@ from dolfinx_mortar.newton_method.contacts import (
     largest_force,
     measure,
 )
-from dolfinx_mortar.newton_method.line_search import take_step
-from dolfinx_mortar.newton_method.linearisation import (
+from dolfinx_mortar.problem.linearisation import (
     Balance,
     count_changes,
     find_balance,
     find_extent,
 )
-from dolfinx_mortar.newton_method.subproblem import STABLE, Iterate, Solution, Subproblem
-from dolfinx_mortar.persistence.committed import Before, Gained
-from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
-from dolfinx_mortar.spaces import mean_cell_sizes
-from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps import driven_tools, failures
+from dolfinx_mortar.steps.line_search import take_step
 from dolfinx_mortar.steps.step_end import finish
+from dolfinx_mortar.steps.subproblem import STABLE, Iterate, Solution, Subproblem
 
 log = logging.getLogger(__name__)
 

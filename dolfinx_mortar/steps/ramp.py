@@ -11,9 +11,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.arguments import Rule, as_numbers, check, check_optional, instance
-from dolfinx_mortar.arrays import SAME, Floats
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import Rule, as_numbers, check, check_optional, instance
+from dolfinx_mortar.common.arrays import SAME, Floats
 
 Rows = list[list[float]]
 """A table in JSON: in every row the level, then the components of the value."""

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Results of a converged step: reactions, notes, certificate, data of the commit."""
 
-from dolfinx_mortar.newton_method.contacts import Residuals, contact_forces
-from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
-from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
+from dolfinx_mortar.common.step_report import Note, StepReport
 from dolfinx_mortar.persistence.committed import StepOutcome
+from dolfinx_mortar.problem.contacts import Residuals, contact_forces
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import check_tightening
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from dolfinx_mortar.report.notes import find_notes
 from dolfinx_mortar.report.reaction import support_forces
-from dolfinx_mortar.step_report import Note, StepReport
+from dolfinx_mortar.steps.failures import StepFailed, describe_cells
+from dolfinx_mortar.steps.subproblem import Iterate, Subproblem
 
 
 def finish(

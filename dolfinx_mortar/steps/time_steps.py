@@ -14,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import check, check_optional, number, one_of
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Floats
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import check, check_optional, number, one_of
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Floats
+from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.energy_ledger import EnergyLedger
-from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps.walk import Level, Loading, Solves, read_way, walk
 from dolfinx_mortar.terms.inertia import (
     IMPLICIT,

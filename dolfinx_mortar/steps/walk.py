@@ -22,13 +22,13 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
-from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arguments import FLAG, check_optional, instance
-from dolfinx_mortar.arrays import SAME
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks, find_constants
+from dolfinx_mortar.common.arguments import FLAG, check_optional, instance
+from dolfinx_mortar.common.arrays import SAME
+from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.heat import Heat
 from dolfinx_mortar.interfaces.link import nodal_gaps
-from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import read
 from dolfinx_mortar.persistence.committed import Walk
 from dolfinx_mortar.persistence.tables import check_folder
@@ -36,7 +36,7 @@ from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_p
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
-from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.failures import AS_BEFORE
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread, read_ramps
 

@@ -16,14 +16,14 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
-from dolfinx_mortar.arguments import NOT_NEGATIVE, POSITIVE, array, check, instance
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import NOT_NEGATIVE, POSITIVE, array, check, instance
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.tags import label
 from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.tags import label
 from dolfinx_mortar.terms.mass import assemble_mass, relieve
 
 Density = float | fem.Constant | Mapping[int | str, float | fem.Constant]

@@ -12,15 +12,22 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import Mesh, MeshTags
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arguments import FLAG, Rule, array, check, instance, is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import FLAG, Rule, array, check, instance, is_number
+from dolfinx_mortar.common.arrays import (
+    HALF_OF_DIGITS,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    Bools,
+    Floats,
+    Ints,
+)
+from dolfinx_mortar.common.tags import check_entities, find_exterior, in_order, tag_of, tags_of
 from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, assemble
-from dolfinx_mortar.tags import check_entities, find_exterior, in_order, tag_of, tags_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr

@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import maximum, values_at
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
 
 LEAST_FACTOR = 0.5
 """Smallest value of 1 + s at a node. Where it would be smaller, layers are too few for the moments

@@ -12,7 +12,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.parallel import (
     any_rank,
@@ -21,8 +20,9 @@ from dolfinx_mortar.algebra.parallel import (
     maximum,
     raised_together,
 )
-from dolfinx_mortar.arguments import array, check, instance, number
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, TINY, Bools, Floats, Ints
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import array, check, instance, number
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, ROUND_OFF, TINY, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term

@@ -15,13 +15,13 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import check_real
+from dolfinx_mortar.common.tags import check_measures
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import MatrixForm, Term, assemble, create_vector
-from dolfinx_mortar.spaces import check_real
-from dolfinx_mortar.tags import check_measures
 from ufl.algorithms import estimate_total_polynomial_degree, expand_derivatives
 
 REMEDY = "give its potential instead, ContactProblem(..., potential=...)"

@@ -77,11 +77,20 @@ def walk(made, levels):
 
 
 def shown(made):
-    """Return what a state has, on this rank."""
+    """Return what a state has; of ranks in the order of size, as meshes are not divided alike."""
     problem, interface, _ = made
     state = [np.ravel(value) for value in interface.state(False).values()]
-    fields = [problem.u, *problem.solid.state.values()]
-    return np.concatenate([interface.force, *state, *(f.x.array for f in fields)])
+    return np.concatenate([interface.force, *state, *map(everywhere, fields_of(problem))])
+
+
+def fields_of(problem):
+    return [problem.u, *problem.solid.state.values()]
+
+
+def everywhere(f):
+    dofs = f.function_space.dofmap
+    own = f.x.array[: dofs.index_map.size_local * dofs.index_map_bs]
+    return own if COMM.size == 1 else np.sort(np.concatenate(COMM.allgather(own)))
 
 
 def agree(found, expected):

@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import Actives, Floats, Ints
+from dolfinx_mortar.common.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.link import Link

@@ -18,7 +18,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.tags import names_of
+from dolfinx_mortar.common.tags import names_of
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 

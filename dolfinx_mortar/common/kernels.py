@@ -13,7 +13,7 @@ from llvmlite import ir
 import basix.ufl
 import ffcx.codegeneration.jit
 import ufl
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 from ufl.core.expr import Expr
 
 ANYWHERE = np.full((1, 3), 0.25)  # any point

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, ratio
-from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
-from dolfinx_mortar.newton_method.subproblem import respond
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.common.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.step_report import Ledger, Note, StepReport
+from dolfinx_mortar.steps.subproblem import respond
 from dolfinx_mortar.terms.inertia import FORCES, Damping, Inertia
 
 # Smallest defect with a note: on impacts of a rod with a wall and a bar, velocities are wrong by

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import mesh
-from dolfinx_mortar.arguments import Rule, check, instance, integer, is_integer
-from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.compat import on_same_mesh
+from dolfinx_mortar.common.arguments import Rule, check, instance, integer, is_integer
+from dolfinx_mortar.common.arrays import Ints
+from dolfinx_mortar.common.compat import on_same_mesh
 
 Value = TypeVar("Value")
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.interfaces.coupling import Sides
 from dolfinx_mortar.solid.kinematics import on_axis
 from dolfinx_mortar.solid.solid import Solid
 
@@ -129,33 +128,6 @@ def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirich
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
     return supports
-
-
-def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
-    """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
-
-    A radial displacement there makes u_r / r infinite, or merely large on a mesh.
-    """
-    V, i = solid.V, solid.kinematics.radius
-    if i is None:
-        return
-    axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates())
-    free = axis[: len(supports.owned)] & ~supports.owned[:, i]
-    missing = V.mesh.comm.allreduce(int(np.sum(free)), op=MPI.SUM)
-    if missing:
-        raise ValueError(
-            f"bcs: {missing} nodes on the axis r = 0 are not held in r, where u_r / r has no limit "
-            f"otherwise; prescribe 0 on V.sub({i}) at the nodes with x[{i}] = 0"
-        )
-    for side in sides:
-        for surface, name in zip(side.surfaces, ("slave", "master"), strict=False):
-            flat = axis[surface.nodes[surface.facets]].all(axis=1)
-            bad = V.mesh.comm.allreduce(int(np.sum(flat)), op=MPI.SUM)
-            if bad:
-                raise ValueError(
-                    f"{name}={surface.label}: {bad} facets lie on the axis r = 0, which is inside "
-                    "the body; leave them out of the tag"
-                )
 
 
 def check_targets(solid: Solid, target: Floats) -> None:

@@ -15,7 +15,7 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import (
+from dolfinx_mortar.common.arrays import (
     HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
@@ -24,9 +24,8 @@ from dolfinx_mortar.arrays import (
     Floats,
     Ints,
 )
-from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
+from dolfinx_mortar.common.spaces import connected_parts, with_ghosts
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
-from dolfinx_mortar.spaces import connected_parts
 
 Motion = Callable[[PETSc.Vec], Floats]
 Modes = list[tuple[int, str, PETSc.Vec]]
@@ -141,12 +140,12 @@ def find_bodies(
     return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 
-def with_ties(bodies: Bodies, sides: Sequence[Sides]) -> Bodies:
-    """Bodies grouped by the ties among sides of interfaces; collective."""
-    n, ties = len(bodies.label), [side for side in sides if not side.unilateral and side.master]
+def with_ties(bodies: Bodies, ties: Sequence[Bools]) -> Bodies:
+    """Bodies grouped by ties, each the mask (local nodes,) of its two sides; collective."""
+    n = len(bodies.label)
     touched = np.zeros((len(ties), bodies.count))
     for k, tie in enumerate(ties):
-        touched[k, bodies.label[(tie.on_slave | tie.on_master)[:n]]] = 1.0
+        touched[k, bodies.label[tie[:n]]] = 1.0
     touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)
     _, group = scipy.sparse.csgraph.connected_components(touched.T @ touched, directed=False)
     return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
 
 T = TypeVar("T")
 

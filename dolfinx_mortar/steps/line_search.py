@@ -17,14 +17,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, Floats
-from dolfinx_mortar.newton_method.contacts import gap_round_off, round_off
-from dolfinx_mortar.newton_method.failures import StepFailed
-from dolfinx_mortar.newton_method.linearisation import Linearisation, to_displacement
-from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
+from dolfinx_mortar.common.arrays import EPS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.common.spaces import with_values
+from dolfinx_mortar.problem.contacts import gap_round_off, round_off
+from dolfinx_mortar.problem.linearisation import Linearisation, to_displacement
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.solid.solid import volume_step
-from dolfinx_mortar.spaces import with_values
+from dolfinx_mortar.steps.failures import StepFailed
+from dolfinx_mortar.steps.subproblem import Iterate, Solution
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 # Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least length.
@@ -45,9 +45,8 @@ class Path:
     slide: Floats  # (m, d - 1) in the step
     limits: Floats  # (m,) of friction
     pull: float  # -F.q of driven tools (one rank), and known friction
-    curve: Callable[
-        [float], Floats | float
-    ]  # (n,) of sides that turn as rigid bodies, beside the line
+    # (n,) of sides that turn as rigid bodies, beside the line
+    curve: Callable[[float], Floats | float]
 
     def at(self, t: float) -> Floats:
         """Displacement (n,) at t."""
@@ -130,7 +129,7 @@ def search(
     """
     cells = problem.V.mesh.topology.index_map(problem.V.mesh.topology.dim).size_global
     first, promise = problem.comm.allreduce(path.excess(0.0)), find_slope(problem, lin, path)
-    length, halvings, solid = 1.0, 0, problem.solid.volumes
+    length, halvings, solid, inverted = 1.0, 0, problem.solid.volumes, False
     why = "the line search found no step that lowers the energy"
     while length > ARMIJO:
         move(problem, path.at(length))

@@ -2,19 +2,21 @@
 """Supported displacement spaces, and values of their Functions."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 import dolfinx
-from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.common import compat
+from dolfinx_mortar.common.arrays import Floats, Ints
 from ufl.domain import extract_unique_domain
 
+S = TypeVar("S", np.bool_, np.int32)
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 HIGHEST = 2
 """Highest degree of the displacement, and of the cells themselves."""
@@ -217,3 +219,11 @@ def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
             f"{name} is a {type(value).__name__} on another mesh than solid.u: make it on "
             "solid.mesh"
         )
+
+
+def with_ghosts(V: dolfinx.fem.FunctionSpace, owned: npt.NDArray[S]) -> npt.NDArray[S]:
+    """Marks or numbers (owned nodes,) extended to ghosts; collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, 1)
+    vector.array[: len(owned)] = owned
+    vector.scatter_forward()
+    return vector.array.astype(owned.dtype)

@@ -12,7 +12,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 
 # Bytes of HDF5 per array and file in addition to data; at most 4.4 kB (chunks of PETSc).
 INDEX = 2**13

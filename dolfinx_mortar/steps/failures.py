@@ -6,7 +6,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.common.arrays import Floats
+from dolfinx_mortar.common.spaces import with_values
+from dolfinx_mortar.common.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.mortar.passing import (
     Passing,
     find_middles,
@@ -16,9 +18,7 @@ from dolfinx_mortar.mortar.passing import (
 )
 from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.spaces import with_values
-from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
-from dolfinx_mortar.supports.bodies import name_of
+from dolfinx_mortar.solid.bodies import name_of
 from dolfinx_mortar.terms.loads import Pressure
 
 # Softness u.K u / u.K_e u at a limit load: at most 6e-3 without hardening, .05 and more for metals.
@@ -114,8 +114,8 @@ def explain(
     if flowing:  # solvers report a singular matrix as a free body
         report.notes.append(seen)
         least = "reduce the load" if loaded else "take smaller steps"
-        seen, why = flowing, ["Without hardening a law carries no more than its limit load: "]
-        why[0] += f"{least}, or give the law hardening"
+        limit = "Without hardening a law carries no more than its limit load"
+        seen, why = flowing, [f"{limit}: {least}, or give the law hardening"]
     elif held := problem.held_by_contact():
         seen += f"; contact alone holds {'; '.join(held)}"
         if problem.system.has_friction:

@@ -12,11 +12,10 @@ import numpy as np
 
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.newton_method import driven_tools
-from dolfinx_mortar.newton_method.contacts import (
+from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
     Residuals,
@@ -24,7 +23,7 @@ from dolfinx_mortar.newton_method.contacts import (
     next_tolerance,
     tightest,
 )
-from dolfinx_mortar.newton_method.linearisation import (
+from dolfinx_mortar.problem.linearisation import (
     Balance,
     Linearisation,
     corrected,
@@ -37,6 +36,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
+from dolfinx_mortar.steps import driven_tools
 from dolfinx_mortar.terms.sum import Energy
 
 # Relative residual of forces below which an indefinite tangent is used unshifted.

@@ -11,9 +11,9 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
-from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation, find_extent
+from dolfinx_mortar.problem.linearisation import Balance, Linearisation, find_extent
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
 

@@ -21,7 +21,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import (
+from dolfinx_mortar.common.arrays import (
     QUARTER_OF_DIGITS,
     ROUND_OFF,
     SAME,
@@ -33,9 +33,8 @@ from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.tool import Driven
-from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
-from dolfinx_mortar.newton_method.failures import StepFailed
-from dolfinx_mortar.newton_method.linearisation import (
+from dolfinx_mortar.problem.contacts import Contacts, Residuals
+from dolfinx_mortar.problem.linearisation import (
     Balance,
     Linearisation,
     to_displacement,
@@ -43,6 +42,7 @@ from dolfinx_mortar.newton_method.linearisation import (
 )
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
+from dolfinx_mortar.steps.failures import StepFailed
 
 
 class Drives:

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""One Newton iteration: residuals, QP subproblem, accuracy, line search, convergence."""
