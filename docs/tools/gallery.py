@@ -107,6 +107,12 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "homogenise_a_cell",
+        "A periodic cell: the mean stress of a matrix with a loose inclusion.",
+        {"homogenise_a_cell.png": "Von Mises stress."},
+        example=True,
+    ),
+    Demo(
         "read_a_deck",
         "A deck of Abaqus or CalculiX: two cubes and the contact between them.",
         {"read_a_deck.png": "Von Mises stress."},
