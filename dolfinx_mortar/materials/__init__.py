@@ -3,6 +3,7 @@
 
 from typing import Any
 
+from dolfinx_mortar.materials.creep import Norton, Viscoelastic
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic, Orthotropic
 from dolfinx_mortar.materials.hyperelastic import MooneyRivlin, NeoHooke, Ogden
@@ -15,9 +16,11 @@ __all__ = [
     "Material",
     "MooneyRivlin",
     "NeoHooke",
+    "Norton",
     "Ogden",
     "Orthotropic",
     "PointwiseLaw",
+    "Viscoelastic",
     "VonMises",
     "VonMisesVoce",
     "check",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar.common.arguments import check_optional
+from dolfinx_mortar.common.arguments import check_optional, instance
 from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -32,6 +32,7 @@ def load_steps(
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
     heat: Heat | None = None,
+    dt: fem.Constant | None = None,
 ) -> Iterator[LoadStep]:
     """Step through load levels: set the loads, solve, commit, yield; collective.
 
@@ -62,6 +63,8 @@ def load_steps(
         every: write it after so many steps, and after the last one.
         heat: temperature that is solved in turn with the step, until its changes are rtol times its
             range; levels are times then. Not in checkpoints.
+        dt: Constant of laws of time, such as `Norton`, set to the length of each step between
+            levels, of parts of steps too.
 
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
     exists, its state is restored, the loads are set, and only the remaining steps are made and
@@ -89,4 +92,5 @@ def load_steps(
         )
     solves = Solves(problem, qp, rtol, max_it)
     solves.heat = check_optional("heat", heat, HEAT)
+    solves.dt = check_optional("dt", dt, instance(fem.Constant, "give the Constant of the laws"))
     yield from walk(solves, way)

@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
+from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.common.arguments import FLAG, check_optional, instance
@@ -106,6 +107,7 @@ class Solves:
     max_it: int
     factorising: LinearSolver | None = field(default=None, init=False)  # replaces the problem's
     heat: Heat | None = field(default=None, init=False)
+    dt: fem.Constant | None = field(default=None, init=False)  # of laws of time
     name: ClassVar[str] = "load step"
 
     @property
@@ -123,7 +125,7 @@ class Solves:
 
     def may_cut(self, loading: Loading) -> bool:
         """Whether a part is another problem than the step."""
-        return loading.changes
+        return loading.changes or self.dt is not None
 
     def to(self, level: Level) -> StepReport:
         """Solve a step to a level, in turn with the temperature until both agree; collective."""
@@ -148,6 +150,8 @@ class Solves:
 
         If both fail, later steps try multigrid again.
         """
+        if self.dt is not None:
+            self.dt.value = level.time - self.problem.committed.level
         try:
             return self._solve(level, self.linear)
         except NewtonNotConverged as error:
