@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
@@ -11,10 +11,11 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, check, is_number
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
+from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import check_nodal
+from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
@@ -184,9 +185,10 @@ def present_force(name: str, given: Any) -> float:
     return force
 
 
-Limit: TypeAlias = float | fem.Constant | fem.Function
+Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[[Floats, Floats], Any]
+"""A number, a Constant, a Function, or a function of pressures and slips (n,) of the last step."""
 
-REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
+REMEDY = "give a number, a scalar Constant, a scalar Lagrange Function, or a function of p and s"
 
 
 @dataclass(frozen=True)
@@ -204,8 +206,13 @@ class FrictionLaw:
         """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
-    def values(self, scalar: fem.FunctionSpace) -> Floats:
-        """Values at the owned nodes; a ValueError for negative or non-finite ones; collective."""
+    def values(self, results: Mapping[str, fem.Function]) -> Floats:
+        """Values at the owned nodes, by the results of the last step; collective.
+
+        Raises:
+            ValueError: on all ranks, for negative or non-finite values.
+        """
+        scalar = results["pressure"].function_space
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
             self.value.x.scatter_forward()  # ghosts may be set
@@ -216,13 +223,23 @@ class FrictionLaw:
             # round-off of zeros
             none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
             values[none] = 0.0
+        elif isinstance(self.value, float | fem.Constant):
+            values = np.full(n, float(getattr(self.value, "value", self.value)))
         else:
-            number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
-            values = np.full(n, number)
-        bad = ~(np.isfinite(values) & (values >= 0.0))
-        if any_rank(comm, bad.any())[0]:
-            what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
-            raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
+            slip = results["step_slip"].x.array.reshape(-1, scalar.mesh.geometry.dim)[:n]
+            p, s = np.array(results["pressure"].x.array[:n]), np.linalg.norm(slip, axis=1)
+            with raised_together(comm):
+                found = self.value(p, s)
+                rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
+                values = np.broadcast_to(check(f"{self.name}(p, s)", found, rule), (n,)).copy()
+        bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+        with raised_together(comm):
+            if len(bad):
+                at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
+                raise ValueError(
+                    f"{self.name} is {values[bad[0]]:g} at ({at}): every value has to be finite "
+                    "and >= 0"
+                )
         return values
 
 
@@ -241,6 +258,8 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
         return FrictionLaw(name, limit) if limit > 0.0 else None
     if isinstance(value, fem.Function):
         check_nodal(name, value, (), REMEDY)
+    elif callable(value) and not isinstance(value, Expr):
+        return FrictionLaw(name, value)
     elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")
     if value.ufl_shape != () or not np.issubdtype(_dtype(value), np.floating):
