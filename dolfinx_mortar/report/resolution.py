@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Resolution of pressures: heights of curved sides, nodes of the largest patch, oscillations."""
+"""Resolution of pressures: heights of curved sides, nodes of the largest patch."""
 
 from dataclasses import replace
 from itertools import combinations
-
-from mpi4py import MPI
 
 import numpy as np
 import scipy
@@ -12,7 +10,7 @@ import scipy
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.audit.audit import SPOILT, are_flat
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
@@ -28,9 +26,6 @@ from dolfinx_mortar.problem.problem import ContactProblem
 # Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are at most 9 % with 5
 # nodes and 3 % with 7 in 2D, 14 % with 9 and 4 % with 17 in 3D.
 NODES = {2: 7, 3: 17}
-# Oscillation of plane pressures over their mean: on disc and block .007 to .083 where pressures are
-# within a tenth of Hertz', .15 to 1 where a fifth off.
-OSCILLATION = 0.1
 
 
 def note_on_facets(
@@ -114,88 +109,48 @@ def _nodal_means(
 
 
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
-    """Notes on pressures that are not resolved, or that oscillate; collective.
+    """Note on a largest pressure that is not resolved; collective.
 
-    Not of patches up to the ends of sides, with singular pressures. Pressures oscillate where the
-    multiplier space of a fine, stiff slave side exceeds the trace space of the master.
+    Not of patches up to the ends of sides, with singular pressures.
     """
     count, ends = _peak_patch(link, contacts)
-    if not ends:
-        return []
-    d, comm = link.sides.fixed.shape[1], link.sides.V.mesh.comm
-    closed = comm.allreduce(int(contacts.active[link.nodes].sum()))
-    if d == 2 and len(link.sides.surfaces) > 1 and closed >= NODES[d]:
-        share = oscillation(link, contacts)
-        if share > OSCILLATION:
-            seen = f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of "
-            why = "Forces are accurate: exchange slave and master, or refine the master there"
-            return [Note(f"{seen}their mean", why)]
-    if not 0 < count < NODES[d]:
+    wanted = NODES[link.sides.fixed.shape[1]]
+    if not (ends and 0 < count < wanted):
         return []
     slave, master, told = link.sides.slave, link.sides.surfaces[-1], ""
     common = link.coupling.common if master is not slave else None
     below = common is not None and (contacts.active[link.nodes] & common.below_edges).any()
-    if any_rank(comm, below)[0]:
+    if any_rank(link.sides.V.mesh.comm, below)[0]:
         told = (
             f"; an edge or a corner of {master.label} presses between nodes of "
             f"slave={slave.label}, and its force acts at one of these, up to a facet beside it"
         )
     seen = (
         f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
-        f"contact, and {NODES[d]} are needed{told}"
+        f"contact, and {wanted} are needed{told}"
     )
     return [Note(seen, "Refine there" + ", or exchange slave and master" * bool(told))]
 
 
-def oscillation(link: Link, contacts: Contacts) -> float:
-    """Amplitude of node-to-node oscillations of pressures, over their mean; collective.
-
-    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, p_j the multipliers, M the mean
-    over the other nodes of the facets of j; d_j = 0 next to nodes without multiplier. In the plane
-    p (1 +- a) gives a.
-    """
-    slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
-    own = np.column_stack([contacts.multipliers[nodes], link.coupling.kept[:, 0]])
-    p, kept = link.with_ghosts(own).T
-
-    def of_neighbours(values: Floats) -> Floats:
-        there = values[slave.facets]
-        return sum_at_nodes(slave, (there.sum(axis=1, keepdims=True) - there)[:, :, None])[:, 0]
-
-    count = np.maximum(of_neighbours(np.ones_like(p)), 1.0)
-    inner = (kept > 0) & (of_neighbours(kept) == count)
-    d = np.where(inner, p - of_neighbours(p) / count, 0.0)
-    size = np.abs(d - of_neighbours(d) / count) / 4.0
-    w = link.coupling.weight[:, 0]
-    amplitude, pressure = comm.allreduce(w @ np.column_stack([size, p])[: slave.owned], op=MPI.SUM)
-    return ratio(amplitude, pressure)
-
-
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective."""
-    slave, nodes = link.sides.slave, link.nodes
+    slave, nodes, layout = link.sides.slave, link.nodes, link.sides.V.dofmap.index_map
     active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
     off = link.with_ghosts(link.coupling.kept[:, 0] & ~active)[slave.facets]
     beside = np.repeat(off.max(axis=1)[:, None, None], off.shape[1], axis=1)
     ends = sum_at_nodes(slave, beside)[: slave.owned, 0] > 0.0
-    patches = find_patches(link, active, contacts.multipliers[nodes], planes, ends)
-    if not patches:
-        return 0, False
-    fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T
-    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())
-
-
-def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
-    """Tables of ``columns`` (n,) or (n, c) by patch of marked nodes; collective."""
-    slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
-    on = link.with_ghosts(marked) > 0.0
     number = layout.local_to_global(slave.nodes).astype(np.int64)
-    own = np.column_stack([number[: slave.owned], *columns])[marked]
+    own = np.column_stack([number[: slave.owned], contacts.multipliers[nodes], planes, ends])
+    on = link.with_ghosts(active) > 0.0
     sides = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
     pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in sides])
-    table, pairs = (np.concatenate(comm.allgather(rows)) for rows in (own, pairs))
+    sent = link.sides.V.mesh.comm.allgather((own[active], pairs))
+    table, pairs = (np.concatenate(rows) for rows in zip(*sent, strict=True))
+    if not len(table):
+        return 0, False
     table = table[np.argsort(table[:, 0])]
-    ends = np.searchsorted(table[:, 0], pairs)
-    graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
-    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    return [table[label == k, 1:] for k in range(count)]
+    joined = np.searchsorted(table[:, 0], pairs).T
+    graph = scipy.sparse.coo_array((np.ones(len(pairs)), joined), shape=(len(table), len(table)))
+    _, patch = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    fixed, open_ = table[patch == patch[table[:, 1].argmax()], 2:].T
+    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())
