@@ -86,7 +86,7 @@ def test_a_file_that_is_not_complete(press, good, folder):
     refused(press, file, "before it was complete", "take the last complete one")
 
 
-@pytest.mark.parametrize("change", ["format 8", "format 10", "version 0.0", f"format {10**20}"])
+@pytest.mark.parametrize("change", ["format 8", "format 11", "version 0.0", f"format {10**20}"])
 def test_another_format_or_version(press, good, folder, change):
     """Known from the first line, whatever the lines behind it may then mean."""
     word = change.split()[0]

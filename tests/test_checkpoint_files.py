@@ -8,7 +8,7 @@ import pytest
 
 import basix.ufl
 from dolfinx import fem
-from dolfinx_mortar.persistence.tables import find_places, read_about, read_tables, write
+from dolfinx_mortar.persistence.tables import PLACES, find_places, read_about, read_tables, write
 from tests.cases.solid import CELLS, create_domain
 
 COMM = MPI.COMM_WORLD
@@ -37,8 +37,8 @@ def test_rows_are_dealt_out_anew(file, rng):
     written, wanted = share(places, rng), share(rng.permutation(places), rng)
     none = np.zeros((0, 4))
     given = {"text": "ä", "numbers": [0.1, np.float64(1 / 3), np.inf]}
-    values = {"x": values_at(written), "none": {"a": none}}
-    write(COMM, file, given, {"x": written, "none": none}, values)
+    values = {"x": {PLACES: written} | values_at(written), "none": {PLACES: none, "a": none}}
+    write(COMM, file, given, values)
     about = read_about(COMM, file)
     assert about["text"] == "ä" and about["numbers"] == [0.1, 1 / 3, np.inf]
     found, differ = read_tables(COMM, file, about, {"x": wanted, "none": none}, 1.0)

@@ -48,7 +48,7 @@ def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
     ],
 )
 def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment, before, after):
-    """On other ranks; the parts of the checkpoint that all had sent come to nothing."""
+    """On other ranks; the rows that the others had written come to nothing."""
     file, result = tmp_path / "run.h5", tmp_path / "result.json"
     code, output = run(before, file, result, 4, moment)
     assert code != 0 and not result.exists(), output

@@ -33,10 +33,18 @@ from dolfinx_mortar.persistence.committed import (
     SupportForces,
     Walk,
 )
-from dolfinx_mortar.persistence.tables import Values, find_places, read_about, read_tables, write
+from dolfinx_mortar.persistence.tables import (
+    PLACES,
+    Values,
+    find_places,
+    read_about,
+    read_tables,
+    write,
+)
 from dolfinx_mortar.solid.solid import Solid
 
-NODES, POINTS, SLAVES = "nodes", "integration points", "slave nodes of interfaces[{}]"
+NODES, POINTS = "nodes", "integration points"
+RESULT = "interfaces[{}]: {}"  # column at nodes
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
 
 
@@ -60,15 +68,13 @@ def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
         "found": [interface.state(False) for interface in state.interfaces],
     }
     values = {NODES: _at_nodes(state), POINTS: _at_points(state)}
-    for k in range(len(state.interfaces)):
-        values[SLAVES.format(k)] = _at_slaves(state, k)
     with raised_together(state.comm):
         for name, table in values.items():
             for column, array in table.items():
                 # the gap is NaN where a slave node faces no master
-                if column != "gap" and not np.isfinite(array).all():
+                if not column.endswith(" gap") and not np.isfinite(array).all():
                     raise ValueError(f"{name}: {column} holds NaN or infinity: nothing is saved")
-    write(state.comm, file, about, _places_of(state), values)
+    write(state.comm, file, about, values)
 
 
 def read(state: ProblemState, path: str | os.PathLike[str]) -> "Saved":
@@ -86,7 +92,9 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> "Saved":
     wrong = differences(about["problem"], describe(state))
     if not wrong:
         size = maximum(comm, np.abs(state.solid.mesh.geometry.x).max(initial=0.0))[0]
-        tables, others = read_tables(comm, file, about, _places_of(state), float(size))
+        spaces = {NODES: state.solid.V, POINTS: state.solid.stress.function_space}
+        places = {name: find_places(V) for name, V in spaces.items()}
+        tables, others = read_tables(comm, file, about, places, float(size))
         wrong = [f"{name}: {text}" for name, text in others.items()]
     if not wrong:
         other = tables[POINTS]["material"] != material_numbers(state.solid)
@@ -135,7 +143,7 @@ class Saved:
             set_owned(f, points[known])
         state.solid.forms.committed.forget()
         for k in range(len(state.interfaces)):
-            self._put_results(k)
+            self._put_results(k, nodes)
         # without a column of directions, steps begin stuck
         committed.active, committed.sliding = nodes["active"][:, 0] > 0.0, nodes.get("sliding")
         committed.displacement = nodes.get("committed", nodes["displacement"]).flatten()
@@ -156,35 +164,34 @@ class Saved:
         committed.history[:] = self.steps
         state.system.faced = True
 
-    def _put_results(self, k: int) -> None:
+    def _put_results(self, k: int, values: Mapping[str, Floats]) -> None:
         state, interface = self.state, self.state.interfaces[k]
-        resultants, values = self.about["interfaces"][k], self.tables[SLAVES.format(k)]
-        nodes = state.system.sides[k].nodes
+        resultants, nodes = self.about["interfaces"][k], state.system.sides[k].nodes
         interface.clear()
         if resultants is None:
             return
-        multiplier = values["multiplier"]
+        multiplier, carries = (
+            values[RESULT.format(k, n)][nodes] for n in ("multiplier", "carries")
+        )
         interface.resultants = Resultants(
             **{name: np.array(v, float) for name, v in resultants.items()},
             multiplier=multiplier[:, 0] if interface.unilateral else multiplier,
             nodes=nodes,
-            carries=values["carries"][:, 0] > 0.0,
+            carries=carries[:, 0] > 0.0,
         )
         for name, function in interface.nodal.items():
-            function.x.array.reshape(-1, values[name].shape[1])[nodes] = values[name]
-            function.x.scatter_forward()
+            set_owned(function, values[RESULT.format(k, name)])
         interface.sum_up(state.comm, nodes)
-
-
-def _places_of(state: ProblemState) -> dict[str, Floats]:
-    nodes, points = find_places(state.solid.V), find_places(state.solid.stress.function_space)
-    slaves = {SLAVES.format(k): nodes[side.nodes] for k, side in enumerate(state.system.sides)}
-    return {NODES: nodes, POINTS: points} | slaves
 
 
 def _at_nodes(state: ProblemState) -> dict[str, Floats]:
     u, committed = _owned(state.solid.u), state.committed
-    found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
+    found = {
+        PLACES: find_places(state.solid.V),
+        "displacement": u,
+        "slid": committed.slid.T,
+        "dissipated": committed.dissipated.T,
+    }
     found["active"] = committed.active[:, None].astype(float)
     if state.system.has_friction and committed.sliding is not None:
         found["sliding"] = committed.sliding
@@ -196,6 +203,13 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
         found["supports"] = np.hstack([supports.forces, supports.points])
     if state.system.has_friction:  # slips are measured from it
         found["committed"] = committed.displacement.reshape(u.shape)
+    for k, (interface, side) in enumerate(zip(state.interfaces, state.system.sides, strict=True)):
+        if (results := interface.resultants) is not None:
+            own = {"multiplier": np.atleast_2d(results.multiplier.T).T}
+            for name, rows in (own | {"carries": results.carries[:, None]}).items():
+                found[RESULT.format(k, name)] = np.zeros((len(u), rows.shape[1]))
+                found[RESULT.format(k, name)][side.nodes] = rows
+            found |= {RESULT.format(k, name): _owned(f) for name, f in interface.nodal.items()}
     return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
 
 
@@ -205,16 +219,8 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
         if not any_rank(state.comm, differs)[0]:
             del fields[name]
-    return fields | {"material": material_numbers(state.solid)}
-
-
-def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
-    interface, nodes = state.interfaces[k], state.system.sides[k].nodes
-    if (found := interface.resultants) is None:
-        return {}
-    multiplier = found.multiplier if found.multiplier.ndim > 1 else found.multiplier[:, None]
-    values = {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
-    return values | {name: _owned(f)[nodes] for name, f in interface.nodal.items()}
+    places = find_places(state.solid.stress.function_space)
+    return {PLACES: places, "material": material_numbers(state.solid)} | fields
 
 
 def _owned(f: fem.Function) -> Floats:

@@ -1,30 +1,31 @@
 # SPDX-License-Identifier: MIT
 r"""One HDF5 file of values at places, written by any number of ranks and read by any other.
 
-    dolfinx_mortar checkpoint, format 9, version 0.1
+    dolfinx_mortar checkpoint, format 10, version 0.1
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
-    about            JSON: what the caller gives; columns and shape of each table
-    NAME    (N, c)   a table: in each row a place, and the values there
+    about            JSON: what the caller gives, and the columns of each table
+    NAME/places      (N, k)   in each row a place
+    NAME/COLUMN      (N, c)   the values there
 
 Node numbers depend on the ranks, and nodes of both sides may coincide, so places are
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 receives the rows of one rank at a time. The file is renamed once complete. Each rank reads
-all rows, a part at a time, and takes those at its places. HDF5 may crash on a damaged file, so
-the checksum is tested first.
+The ranks write their rows one after another; then the file is renamed. Each rank reads all rows, a
+part at a time, and takes those at its places. HDF5 may crash on a damaged file, so the checksum is
+tested first.
 """
 
 import errno
 import hashlib
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from mpi4py import MPI
 
@@ -44,9 +45,10 @@ from dolfinx_mortar.common.disk import (
 )
 from dolfinx_mortar.common.spaces import means_around
 
-FORMAT = 9  # raise this when the meaning of the content changes
+FORMAT = 10  # raise this when the meaning of the content changes
 HEAD = 512  # bytes: HDF5's smallest "user block"
 CHECKSUM = b"sha256 of what follows: "
+PLACES = "places"
 Values = Mapping[str, Mapping[str, Floats]]  # (n, c) by column by table
 
 
@@ -88,67 +90,48 @@ def check_folder(comm: MPI.Comm, path: Path) -> None:
                 ) from error
 
 
-def write(
-    comm: MPI.Comm,
-    path: Path,
-    about: Mapping[str, Any],
-    places: Mapping[str, Floats],
-    values: Values,
-) -> None:
-    """Write values at places (n, k) by table, and `about`, to a new file; collective.
+def write(comm: MPI.Comm, path: Path, about: Mapping[str, Any], values: Values) -> None:
+    """Write values by table, with their `PLACES`, and `about`, to a new file; collective.
 
     Raises:
         OSError: on all ranks, if rank 0 cannot write; an older file stays.
     """
     check_folder(comm, path)
-    tables = {}
-    for name, x in places.items():
-        columns = {column: v.shape[1] for column, v in values[name].items()}
-        shape = comm.allreduce(len(x)), x.shape[1] + sum(columns.values())
-        tables[name] = {"columns": columns, "shape": shape}
-    rows = ((n, part) for n in places for part in _rows(comm, [places[n], *values[n].values()]))
-    with raised_together(comm):
-        try:
-            if comm.rank == 0:
-                _write_file(path, {**about, "tables": tables}, rows)
-        finally:
-            for _ in rows:  # after an error, too: other ranks send until all is received
-                pass
-
-
-def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
-    """Yield rows of all ranks on rank 0, which must exhaust them; others send; collective."""
-    rows = np.hstack(columns)
-    if comm.rank > 0:
-        comm.send(rows, dest=0)
-        return
-    yield rows
-    for rank in range(1, comm.size):
-        yield comm.recv(source=rank)
-
-
-def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, Floats]]) -> None:
-    draft = draft_of(path)
+    draft, columns = draft_of(path), {name: list(table) for name, table in values.items()}
+    arrays = {
+        f"{name}/{column}": values[name][column] for name in values for column in values[name]
+    }
+    text = json.dumps({**about, "columns": columns}, default=_plain).encode()
+    size = comm.allreduce(sum(rows.nbytes for rows in arrays.values())) + len(text)
+    counts = np.array(comm.allgather([len(rows) for rows in arrays.values()]))
     try:
-        text = np.frombuffer(json.dumps(about, default=_plain).encode(), dtype=np.uint8)
-        shapes = {name: table["shape"] for name, table in about["tables"].items()}
-        draft.write_bytes(b"")
-        numbers = 8 * sum(n * c for n, c in shapes.values())
-        demand_space(draft, space_for(len(shapes) + 1, numbers + len(text)))
-        with import_h5py().File(draft, "w", libver=("v110", "v110"), userblock_size=HEAD) as file:
-            file.create_dataset("about", data=text)
-            written = {name: 0 for name in shapes}
-            for name, shape in shapes.items():
-                file.create_dataset(name, shape, "f8")
-            for name, part in rows:
-                file[name][written[name] : written[name] + len(part)] = part
-                written[name] += len(part)
-        seal(draft)
-        replace_by_draft(path)
+        with raised_together(comm):
+            if comm.rank == 0:
+                draft.write_bytes(b"")
+                demand_space(draft, space_for(len(arrays) + len(values) + 1, size))
+                with _opened(draft, "w", userblock_size=HEAD) as file:
+                    file["about"] = np.frombuffer(text, np.uint8)
+                    for (name, rows), n in zip(arrays.items(), counts.sum(axis=0), strict=True):
+                        file.create_dataset(name, (n, rows.shape[1]), "f8")
+        for rank in range(comm.size):
+            with raised_together(comm):
+                if comm.rank == rank:
+                    _write_rows(draft, arrays, counts[:rank].sum(axis=0))
+        with raised_together(comm):
+            if comm.rank == 0:
+                seal(draft)
+                replace_by_draft(path)
     except Exception as error:  # h5py has several for a disk that fails
-        with suppress(Exception):
-            draft.unlink()
+        if comm.rank == 0:
+            with suppress(Exception):
+                draft.unlink()
         raise OSError(f"path is {str(path)!r}, which could not be written: {error}") from error
+
+
+def _write_rows(draft: Path, arrays: Mapping[str, Floats], starts: Longs) -> None:
+    with _opened(draft, "r+") as file:
+        for (name, rows), start in zip(arrays.items(), starts, strict=True):
+            file[name][start : start + len(rows)] = rows
 
 
 def _plain(value: Any) -> Any:
@@ -162,23 +145,20 @@ def _first_line() -> bytes:
     return CHECKPOINT + f", format {FORMAT}, version {minor}\n".encode()
 
 
-def _shown(line: bytes) -> str:
-    return repr(line.decode(errors="replace").rstrip())
-
-
-def _second_line(stream: IO[bytes]) -> bytes:
-    digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
-    return CHECKSUM + digest.hexdigest().encode() + b"\n"
+def _head(file: Path) -> bytes:
+    """Head of a complete file."""
+    first = _first_line() + CHECKSUM
+    with file.open("rb") as stream:
+        stream.seek(len(first) + 65)  # 64 digits and the end of the line
+        digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
+    return first + digest.hexdigest().encode() + b"\n"
 
 
 def seal(file: Path) -> None:
     """Write the head of an otherwise complete file."""
-    first = _first_line()
+    head = _head(file)
     with file.open("r+b") as stream:
-        stream.seek(len(first + CHECKSUM) + 65)  # 64 digits and the end of the line
-        second = _second_line(stream)
-        stream.seek(0)
-        stream.write(first + second)
+        stream.write(head)
 
 
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
@@ -200,33 +180,29 @@ def read_tables(
     Also, by table, how places differ, in words.
     """
     found: dict[str, dict[str, Floats]] = {}
-    hits: dict[str, Longs] = {}
+    hits: dict[str, tuple[Longs, int]] = {}
     with raised_together(comm), _opened(path) as file:
         for name, own in places.items():
-            found[name], hits[name] = _read_table(
-                file[name], about["tables"][name]["columns"], own, size
-            )
-    told = {}
-    for name, own in places.items():
-        told[name] = _difference(comm, own, hits[name], about["tables"][name]["shape"][0])
+            there, columns = file[name], about["columns"][name]
+            found[name], *hits[name] = _read_table(there, columns, own, SAME * size)
+    told = {name: _difference(comm, own, *hits[name]) for name, own in places.items()}
     return found, {name: text for name, text in told.items() if text}
 
 
 def _read_table(
-    table: Any, widths: Mapping[str, int], own: Floats, size: float
-) -> tuple[dict[str, Floats], Longs]:
-    """Values at own places (n, k), and number of rows of each."""
-    n, k = own.shape
-    tree = scipy.spatial.cKDTree(own)
-    values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
-    for first in range(0, len(table), CHUNK):
-        rows = table[first : first + CHUNK]
-        distance, at = tree.query(rows[:, :k], distance_upper_bound=SAME * size)
+    table: Any, columns: Iterable[str], own: Floats, reach: float
+) -> tuple[dict[str, Floats], Longs, int]:
+    """Values at own places (n, k), number of rows of each, and of all rows."""
+    n, tree, places = len(own), scipy.spatial.cKDTree(own), table[PLACES]
+    found, hits = {c: np.zeros((n, table[c].shape[1])) for c in columns}, np.zeros(n, np.int64)
+    for first in range(0, len(places), CHUNK):
+        some = slice(first, first + CHUNK)
+        distance, at = tree.query(places[some], distance_upper_bound=reach)
         hit = np.isfinite(distance)
         hits += np.bincount(at[hit], minlength=n)
-        values[at[hit]] = rows[hit, k:]
-    columns = np.split(values, np.cumsum([*widths.values()])[:-1], axis=1)
-    return dict(zip(widths, columns, strict=False)), hits
+        for column, values in found.items():
+            values[at[hit]] = table[column][some][hit]
+    return found, hits, len(places)
 
 
 def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
@@ -245,8 +221,10 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
     return ""
 
 
-def _opened(path: Path) -> Any:
-    return import_h5py().File(path, "r", locking="best-effort")
+def _opened(path: Path, mode: str = "r", **options: Any) -> Any:
+    if mode != "r":
+        options["libver"] = ("v110", "v110")
+    return import_h5py().File(path, mode, locking="best-effort", **options)
 
 
 def _check_head(path: Path) -> None:
@@ -263,13 +241,14 @@ def _check_head(path: Path) -> None:
         )
     with path.open("rb") as stream:
         first, second, own = stream.readline(HEAD), stream.readline(HEAD), _first_line()
-        if first != own:
-            raise ValueError(
-                f"path is {str(path)!r}, which begins with {_shown(first)}, but this version reads "
-                f"{_shown(own)}: go on with the version that has written it"
-            )
-        if second != _second_line(stream):
-            raise ValueError(
-                f"path is {str(path)!r}, which is cut off, damaged or changed since it was written "
-                "(its checksum differs): take an older one"
-            )
+    if first != own:
+        begins, reads = (repr(line.decode(errors="replace").rstrip()) for line in (first, own))
+        raise ValueError(
+            f"path is {str(path)!r}, which begins with {begins}, but this version reads {reads}: "
+            "go on with the version that has written it"
+        )
+    if first + second != _head(path):
+        raise ValueError(
+            f"path is {str(path)!r}, which is cut off, damaged or changed since it was written "
+            "(its checksum differs): take an older one"
+        )
