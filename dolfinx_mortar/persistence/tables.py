@@ -150,7 +150,7 @@ def _head(file: Path) -> bytes:
     first = _first_line() + CHECKSUM
     with file.open("rb") as stream:
         stream.seek(len(first) + 65)  # 64 digits and the end of the line
-        digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
+        digest = hashlib.file_digest(stream, "sha256")
     return first + digest.hexdigest().encode() + b"\n"
 
 
@@ -184,15 +184,15 @@ def read_tables(
     with raised_together(comm), _opened(path) as file:
         for name, own in places.items():
             there, columns = file[name], about["columns"][name]
-            found[name], *hits[name] = _read_table(there, columns, own, SAME * size)
+            found[name], hits[name] = _read_table(there, columns, own, SAME * size)
     told = {name: _difference(comm, own, *hits[name]) for name, own in places.items()}
     return found, {name: text for name, text in told.items() if text}
 
 
 def _read_table(
     table: Any, columns: Iterable[str], own: Floats, reach: float
-) -> tuple[dict[str, Floats], Longs, int]:
-    """Values at own places (n, k), number of rows of each, and of all rows."""
+) -> tuple[dict[str, Floats], tuple[Longs, int]]:
+    """Values at own places (n, k); number of rows of each, and of all rows."""
     n, tree, places = len(own), scipy.spatial.cKDTree(own), table[PLACES]
     found, hits = {c: np.zeros((n, table[c].shape[1])) for c in columns}, np.zeros(n, np.int64)
     for first in range(0, len(places), CHUNK):
@@ -202,7 +202,7 @@ def _read_table(
         hits += np.bincount(at[hit], minlength=n)
         for column, values in found.items():
             values[at[hit]] = table[column][some][hit]
-    return found, hits, len(places)
+    return found, (hits, len(places))
 
 
 def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
