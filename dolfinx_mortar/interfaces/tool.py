@@ -392,10 +392,6 @@ class Outline:
     pose: Pose
     revolved: bool = False
 
-    def distance(self, x: Floats) -> Floats:
-        """Signed distances (n,) of points (n, d)."""
-        return self.shape.values(self.pose.to_tool(x))
-
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
         """Points in initial position, and their lines or triangles (m, d), in a box."""
         if (found := self.shape.surface) is not None:
