@@ -9,6 +9,7 @@ import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 from mpi4py import MPI
 
@@ -22,7 +23,7 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.disk import check_path
 from dolfinx_mortar.common.spaces import CELLS, HIGHEST
 from dolfinx_mortar.materials.tensor import tensor_of
-from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert, new_step
+from dolfinx_mortar.output.xdmf import File, Step, check_xml, insert, new_step
 
 log = logging.getLogger(__name__)
 
@@ -112,8 +113,8 @@ class Writer:
             t: greater than before; for falling loads, give the number of the step.
 
         Raises:
-            ValueError: after `close`, for a time that does not rise, for fields of another mesh,
-                with names that collide, or with values that are NaN or infinite.
+            ValueError: after `close`, for a time that does not rise, for fields of another mesh, or
+                with values that are NaN or infinite.
             OSError: naming the file, if there is no space on the disk; earlier steps stay readable,
                 and the step may be written again.
         """
@@ -127,8 +128,8 @@ class Writer:
             done, brought = getattr(self.problem, "steps_done", (0, 0))
             step = new_step(done, float(t), self._mesh)
             steps = insert(file.steps, step, made=done > brought)
-            keys = field_keys(fields)
             for name, f in fields.items():
+                check_xml("output fields", name)
                 if f.function_space.mesh is not V.mesh:
                     raise ValueError(
                         f"output field {name!r} is on another mesh than the displacement."
@@ -147,7 +148,7 @@ class Writer:
             kind = KINDS.get(values.shape[1], "Matrix")
             about = {"Name": name, "AttributeType": kind, "Center": centre}
             element = ET.SubElement(step.grid, "Attribute", about)
-            rows.append((element, f"{keys[name]}_{number:06d}", values))
+            rows.append((element, f"{quote(name, safe='')}_{number:06d}", values))
         file.write(*rows)
         with raised_together(self.comm):
             if self._tools is not None:  # first: steps that the results lack are dropped

@@ -190,7 +190,7 @@ def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
     steps.set("CollectionType", "Temporal")
     check("notes", notes, instance(Mapping, "give a dictionary, name -> text or JSON value"))
     for name, note in notes.items():
-        _check_xml("notes", name)
+        check_xml("notes", name)
         text = note
         if not isinstance(note, str):
             try:
@@ -198,37 +198,15 @@ def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
             except (TypeError, ValueError) as error:
                 wrong = f"notes[{name!r}] = {note!r} is no text and no JSON value."
                 raise ValueError(wrong) from error
-        _check_xml(f"notes[{name!r}]", text)
+        check_xml(f"notes[{name!r}]", text)
         ET.SubElement(domain, "Information", Name=name, Value=text)
     return root, steps
 
 
-def _check_xml(what: str, text: Any) -> None:
+def check_xml(what: str, text: Any) -> None:
+    """Raise a ValueError for what XML cannot hold."""
     if not isinstance(text, str) or _NOT_XML.search(text):
         raise ValueError(f"{what}: {text!r} is no text that XML can hold.")
-
-
-def field_keys(names: Iterable[str]) -> dict[str, str]:
-    """Name of each field in the HDF5 file: letters, digits and underscores.
-
-    Raises:
-        ValueError: if two names differ only in other characters or in case.
-
-    >>> field_keys(["von Mises", "p [MPa]"])
-    {'von Mises': 'von_Mises', 'p [MPa]': 'p_MPa_'}
-    """
-    keys: dict[str, str] = {}
-    first: dict[str, str] = {}
-    for name in names:
-        _check_xml("output fields", name)
-        keys[name] = key = re.sub(r"[^A-Za-z0-9]+", "_", name)
-        other = first.setdefault(key.lower(), name)
-        if other != name:
-            raise ValueError(
-                f"output fields {other!r} and {name!r} would have one name in the file, {key!r}: "
-                "rename one so that they differ in letters or digits, whatever the case."
-            )
-    return keys
 
 
 def _read(path: Path) -> list[Step]:

@@ -267,9 +267,7 @@ class Parts:
             yield names.get(int(tag), f"tag {tag}"), colour, parts
 
 
-def near_surfaces(
-    tools: Sequence[Any], low: Floats, high: Floats
-) -> Iterator[tuple[Any, Any]]:
+def near_surfaces(tools: Sequence[Any], low: Floats, high: Floats) -> Iterator[tuple[Any, Any]]:
     """Yield points and lines or triangles (m, d) of tools near a box from low (d,) to high (d,)."""
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, len(low))
     for tool in tools:
