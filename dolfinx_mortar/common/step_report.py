@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 
@@ -156,6 +156,9 @@ class Ledger:
         return "energy: " + ", ".join(f"{name} {value:.6g}" for name, value in energies.items())
 
 
+SUMS = "newton_iterations", "qp_iterations", "factorisations", "residual_history"
+
+
 @dataclass
 class StepReport:
     """Report of one load step; ``print`` shows a table."""
@@ -210,35 +213,21 @@ class StepReport:
         self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
-        """Note a message of the QP backend; equal ones are merged."""
-        if not text:
-            return
-        for k, note in enumerate(self.notes):
-            head, _, said = note.partition(": ")
-            if said == text and head.startswith("iteration "):
-                self.notes[k] = f"{head}, {number}: {text}"
-                return
-        self.notes.append(f"iteration {number}: {text}")
+        """Note a message of the QP backend, if any."""
+        if text:
+            self.notes.append(f"iteration {number}: {text}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dictionaries."""
-        return asdict(self) | {
-            "newton_iterations": self.newton_iterations,
-            "qp_iterations": self.qp_iterations,
-            "factorisations": self.factorisations,
-            "residual_history": self.residual_history,
-        }
+        return asdict(self) | {name: getattr(self, name) for name in SUMS}
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> StepReport:
         """Read the result of `as_dict`."""
-        names = {one.name for one in fields(cls)}
-        values = {name: value for name, value in given.items() if name in names}
-        values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
-        if given.get("certificate") is not None:
-            values["certificate"] = Certificate(**given["certificate"])
-        if given.get("ledger") is not None:
-            values["ledger"] = Ledger(**given["ledger"])
+        values = {name: value for name, value in given.items() if name not in SUMS}
+        values["iterations"] = [Iteration(**iteration) for iteration in given["iterations"]]
+        for name, kind in (("certificate", Certificate), ("ledger", Ledger)):
+            values[name] = None if given[name] is None else kind(**given[name])
         return cls(**values)
 
     def __str__(self) -> str:

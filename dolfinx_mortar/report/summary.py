@@ -34,7 +34,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         ValueError: for other objects.
     """
     check("step", step, instance(LoadStep, "give a LoadStep, such as load_steps yields"))
-    parts = step.parts
+    parts, last = step.parts, step.report.as_dict()
     iterations = [iteration for part in parts for iteration in part.iterations]
     work = sorted({name for part in parts for name in part.seconds})
     return {
@@ -47,9 +47,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "residual_history": [r for part in parts for r in part.residual_history],
         "notes": [note for part in parts for note in part.notes],
         "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
-        "linear_solver": step.report.linear_solver,
-        "certificate": step.report.as_dict()["certificate"],
-        "ledger": step.report.as_dict()["ledger"],
+        **{name: last[name] for name in ("linear_solver", "certificate", "ledger")},
         "forces": step.forces,
         "reactions": step.reactions,
     }
