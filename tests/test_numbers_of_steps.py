@@ -50,10 +50,10 @@ OTHERS = {
     "interfaces.interface",
     "interfaces.tie",
     "audit.audit",  # in test_stand_off
-    "report.resolution",
+    "report.notes",
     "report.penetration",
     "interfaces.pretension",
-    "report.small_strain",
+    "report.certificate",
     # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",
     "steps.subproblem",  # in test_finite_strain, too

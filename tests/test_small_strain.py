@@ -9,7 +9,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.report.small_strain import LARGEST_SHARE, find_left_out
+from dolfinx_mortar.report.certificate import LARGEST_SHARE, find_left_out
 from dolfinx_mortar.solid.kinematics import plane_strain
 from tests.cases.hertz import PLASTIC, create_case, create_mesh
 from tests.cases.material_point import MaterialPoint

@@ -12,7 +12,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     find_parting,
     find_smooth_sides,
 )
-from dolfinx_mortar.report import resolution
+from dolfinx_mortar.report import notes
 from tests.cases.close_fits import create_pin, create_shrink_fit
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
@@ -139,7 +139,7 @@ def test_what_heights_miss(cell, swap):
         problem = create_problem(V, [contact], planes)
     problem.update_geometry()
     (link,) = problem.system.links
-    found = [link.gaps(problem.positions()), resolution._missed(link, None)]
+    found = [link.gaps(problem.positions()), notes._missed(link, None)]
     gaps, missed = (np.concatenate(COMM.allgather(part)) for part in found)
     # the change of normals over the distance is left out
     assert np.abs(gaps).max() < 1.5 * np.abs(missed).max()
