@@ -21,7 +21,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.output.xdmf import File
-from dolfinx_mortar.persistence import tables
+from dolfinx_mortar.persistence import checkpoints
 from tests.cases.pressed_blocks import PressedBlocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
@@ -101,9 +101,9 @@ def main(path, result, steps, moment=""):
         if writer is not None:
             writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
-            tables.seal = die
+            checkpoints.seal = die
         if made == [1, 2, 3] and moment == "send" and COMM.rank == COMM.size - 1:
-            tables._write_rows = die
+            checkpoints._write_rows = die
         if made == [1, 2, 3] and moment == "replace":
             Path.replace = die
     numbers = press.numbers() | {"made": made}

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.persistence import tables
-from dolfinx_mortar.persistence.tables import HEAD, read_about, read_tables, write
+from dolfinx_mortar.persistence import checkpoints
+from dolfinx_mortar.persistence.checkpoints import HEAD, read_about, read_tables, write
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
@@ -52,7 +52,7 @@ def refuse(file, monkeypatch):
         raise AssertionError("HDF5 was given a damaged file")
 
     with monkeypatch.context() as patch:
-        patch.setattr(tables, "_opened", never)
+        patch.setattr(checkpoints, "_opened", never)
         with rejected(f"path is {str(file)!r}, "):
             read_about(COMM, file)
 
@@ -113,10 +113,10 @@ def test_a_place_that_is_met_twice(folder, share):
             mine = own if COMM.rank == COMM.size - 1 else own[:0]
         _, differ = read_tables(COMM, file, read_about(COMM, file), {"x": mine}, 1.0)
         if there is twice:
-            assert f"or more than once, such as that at ({x})" in differ["x"]
+            assert f"or more than once, such as that at ({x})" in differ[0]
         elif share == "one rank" or COMM.size == 1:
-            assert differ["x"].startswith("1 of 20 are in the checkpoint not at all, or ")
-            assert differ["x"].endswith(f"such as that at ({x})")
+            assert differ[0].startswith("x: 1 of 20 are in the checkpoint not at all, or ")
+            assert differ[0].endswith(f"such as that at ({x})")
 
 
 SPACE_CASES = [(1, 1, 0, 1, 50_000), (30, 8, 13, 2, 10)]
@@ -128,7 +128,7 @@ def test_the_space_asked_for(tmp_path, monkeypatch, count, fields, rows, width, 
     """It is enough, and hardly more than the file takes: 8 kB per array, and for the file."""
     asked = []
     monkeypatch.setattr(
-        "dolfinx_mortar.persistence.tables.demand_space", lambda file, size: asked.append(size)
+        "dolfinx_mortar.common.disk.demand_space", lambda file, size: asked.append(size)
     )
     file, values = tmp_path / "x.h5", {"places": np.ones((rows, 4))}
     values |= {f"committed/plastic_strain_{k}": np.ones((rows, width)) for k in range(fields)}

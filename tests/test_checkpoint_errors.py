@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.persistence import checkpoints, tables
-from dolfinx_mortar.persistence.checkpoints import material_numbers
-from dolfinx_mortar.persistence.tables import HEAD
+from dolfinx_mortar.persistence import checkpoints
+from dolfinx_mortar.persistence.checkpoints import HEAD, material_numbers
 from dolfinx_mortar.shapes import Cylinder
 from tests import tool_case
 from tests.cases.pressed_blocks import rejected
@@ -259,7 +258,7 @@ def test_a_folder_that_is_not_there(press, folder):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("work", ["demand_space", "seal"])
+@pytest.mark.parametrize("work", ["common.disk.demand_space", "persistence.checkpoints.seal"])
 def test_a_disk_that_fails(good, folder, monkeypatch, work):
     """Rank 0 takes what the others send, and all are told; the last checkpoint stays."""
     file, press = changed(good, folder, lambda file: None), Press()
@@ -267,7 +266,7 @@ def test_a_disk_that_fails(good, folder, monkeypatch, work):
     def fail(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(tables, work, fail)
+    monkeypatch.setattr(f"dolfinx_mortar.{work}", fail)
     with rejected("could not be written", "no space left", error=OSError):
         press.problem.save(file)
     assert file.read_bytes() == good.read_bytes()

@@ -8,7 +8,13 @@ import pytest
 
 import basix.ufl
 from dolfinx import fem
-from dolfinx_mortar.persistence.tables import PLACES, find_places, read_about, read_tables, write
+from dolfinx_mortar.persistence.checkpoints import (
+    PLACES,
+    find_places,
+    read_about,
+    read_tables,
+    write,
+)
 from tests.cases.solid import CELLS, create_domain
 
 COMM = MPI.COMM_WORLD

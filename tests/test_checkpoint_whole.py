@@ -11,7 +11,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.persistence.tables import seal
+from dolfinx_mortar.persistence.checkpoints import seal
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.cases.states import state_of

@@ -59,7 +59,7 @@ OTHERS = {
     "steps.subproblem",  # in test_finite_strain, too
     "steps.newton",
     "steps.energy_ledger",  # in test_dynamics
-    "persistence.tables",  # in those of checkpoints
+    "persistence.checkpoints",  # in those of checkpoints
 }
 
 

@@ -28,9 +28,8 @@ from dolfinx_mortar.common.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.common.arrays import SAME
 from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.interfaces.link import nodal_gaps
-from dolfinx_mortar.persistence.checkpoints import read
+from dolfinx_mortar.persistence.checkpoints import check_folder, read
 from dolfinx_mortar.persistence.committed import Walk
-from dolfinx_mortar.persistence.tables import check_folder
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
