@@ -379,23 +379,6 @@ class Tool(RigidBody):
 
         return SeenByTool(at, turn, shape.values, shape.point)
 
-    def outline(self) -> Outline:
-        """Present outline, for output."""
-        return Outline(self.shape, self.pose(), self.revolved)
-
-
-@dataclass(frozen=True)
-class Outline:
-    """Shape and pose of a tool, for output."""
-
-    shape: Shape
-    pose: Pose
-    revolved: bool = False
-
-    def distance(self, x: Floats) -> Floats:
-        """Signed distances (n,) of points (n, d)."""
-        return self.shape.values(self.pose.to_tool(x))
-
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
         """Points in initial position, and their lines or triangles (m, d), in a box."""
         if (found := self.shape.surface) is not None:

@@ -133,7 +133,7 @@ def field(
         values = found.x.array[found.function_space.dofmap.list[:owned, 0]]
     bodies = gather_bodies(V, _moved(V, solid.u, scale), values, name in of_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
-    tools = [one.tool.outline() for one in every if one.tool is not None]
+    tools = [one.tool for one in every if one.tool is not None]
 
     to = file, view, ax
     return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))

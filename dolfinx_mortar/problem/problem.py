@@ -35,7 +35,7 @@ from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.interfaces.tool import Outline
+from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -446,7 +446,7 @@ class ContactProblem:
             fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields
 
-    def output_tools(self) -> list[tuple[Outline, Floats]]:
+    def output_tools(self) -> list[tuple[Tool, Floats]]:
         """See `InterfaceSystem.tools_at`; collective."""
         return self.system.tools_at(self.u)
 
