@@ -70,7 +70,7 @@ class GeometryTangent:
             self.rows.append(gaps)
             slid = None
             if partners and (partner := partners[k]) is not None:
-                slid = contact.slips(link, u, partner, since), partner.known
+                slid = contact.slips(link, partner, since), partner.known
                 self.rows.append(_matrix(link, slid[0], gaps))
             moved[k] = _trial(link, gaps, known, slid)
         self.trial.update(moved)

@@ -21,7 +21,6 @@ from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
-from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -238,11 +237,6 @@ class Obstacle(Movable, Unilateral):
                 f"shape: phi is no distance, as abs(grad phi) is {size[worst]:.3g} at ({place}); "
                 "give phi / abs(grad phi), or the distance itself"
             )
-
-    def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """See `Interface.derivatives`; collective."""
-        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
-        return ToolDerivatives(link, link.pattern.side, self.tool)
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warn of a tool that no facet faces or that starts in the body; collective."""

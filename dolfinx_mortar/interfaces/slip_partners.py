@@ -69,6 +69,12 @@ class Partners:
         whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
         return np.asarray(whole + tilt[:, None] * both)
 
+    def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
+        """Derivatives (n, d, d) of the motion by that of x_j - P x and by n, along tangents."""
+        n, d = self.normals.shape
+        one = np.tile(np.eye(d), (n, 1, 1))
+        return one, 0.0 * one
+
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Motion (n, d) by ``moved``, in present frames; collective."""
         in_frames = np.einsum("nij,nj->ni", link.coupling.rows, self.motion(link, moved))
@@ -157,7 +163,7 @@ class ToolPartners(Partners):
         return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Derivatives (n, d, d) of the motion by x_j and by n."""
+        """See `Partners`."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient

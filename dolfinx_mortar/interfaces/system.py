@@ -304,7 +304,7 @@ class InterfaceSystem:
         """Derivatives of the moving geometry at X + u; collective.
 
         `slips` are the displacement since the last commit, and the partners; others as in
-        `ContactDerivatives`.
+        `LinkDerivatives`.
         """
         T, moving = self.transformation, self._reused.moving
         assert T is not None
