@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -29,45 +29,24 @@ from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vecto
 from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
-class Driven(Protocol):
-    """A rigid tool or side with m motions driven by given forces; same on all ranks."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether nodes follow it in all directions, as on a rigid side."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names (m) of the motions and their forces."""
-
-    def loads(self) -> Floats:
-        """Given forces (m,); a ValueError for NaN and infinity."""
-
-    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Displacements (m, n, d) of points by one unit of each motion.
-
-        Points are at x (X if frozen), initially at X (n, d); ``moved`` (m,) is where to linearise.
-        """
-
-    def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion by amounts (m,) minus its linearisation (n, d) at X; only where `holds`."""
-
-    def move(self, amounts: Floats) -> None:
-        """Move the tool by amounts (m,) of its motions."""
-
-
 @dataclass(frozen=True)
 class Pose:
-    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi."""
+    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi.
+
+    With `linear` rotations R = 1 + theta x.
+    """
 
     position: Floats  # (d,)
     rotation: Floats  # (1,) or (3,) rotation vector
     point: Floats  # (d,) initial position
+    linear: bool = False
 
     @property
     def R(self) -> Floats:
         """Rotation matrix (d, d)."""
         d = len(self.position)
+        if self.linear:
+            return np.asarray(np.eye(d) + spun(np.eye(d), self.rotation).T)
         return np.asarray(_turn(in_space(self.rotation)).as_matrix()[:d, :d])
 
     def to_tool(self, x: Floats) -> Floats:
@@ -94,9 +73,11 @@ def motions_in(d: int) -> tuple[str, ...]:
 
 
 class RigidBody:
-    """Pose of a rigid body as Constants, and loads that drive it instead.
+    """Pose of a rigid body as Constants, and loads that drive m of its motions instead.
 
     Attributes:
+        holds: whether nodes follow it in all directions, as on a rigid side.
+        linear: whether rotations are linearised.
         point: (d,) initial position of the reference point.
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
@@ -104,7 +85,7 @@ class RigidBody:
         travel: (3,) or (6,) additional motion by the loads.
     """
 
-    holds = False
+    holds, linear = False, False
 
     def __init__(self, point: Floats) -> None:
         d = len(point)
@@ -131,10 +112,11 @@ class RigidBody:
             )
         d = len(position)
         travel = self.travel if travel is None else travel
-        position = position + travel[:d]
-        if travel[d:].any():
-            rotation = after(rotation, travel[d:])
-        return Pose(position, rotation, self.point)
+        turned = self._after(rotation, travel[d:]) if travel[d:].any() else rotation
+        return Pose(position + travel[:d], turned, self.point, self.linear)
+
+    def _after(self, rotation: Floats, step: Floats) -> Floats:
+        return rotation + step if self.linear else after(rotation, step)
 
     def check_load(self, load: Any) -> Mapping[str, Force]:
         """Checked forces by name, in the order of `motions_in`."""
@@ -173,8 +155,8 @@ class RigidBody:
         return {name: getattr(self, name) for name in ("point", "position", "rotation", "load")}
 
     def place(self) -> Floats:
-        """Position (d,) of the reference point of moments."""
-        return self.pose().position
+        """Position (d,) of the reference point of moments; the initial one if `linear`."""
+        return self.point if self.linear else self.pose().position
 
     def state(self, ended: bool) -> dict[str, Floats]:
         """See `Interface.state`."""
@@ -186,7 +168,7 @@ class RigidBody:
 
     @property
     def names(self) -> Sequence[str]:
-        """See `Driven`."""
+        """Names (m) of the motions and their forces."""
         return tuple(self.load)
 
     @property
@@ -194,12 +176,11 @@ class RigidBody:
         return [motions_in(len(self.point)).index(name) for name in self.names]
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """See `Driven`."""
-        return self.along(x - self.pose().position)
+        """Displacements (m, n, d) of points by one unit of each motion.
 
-    def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Zero, see `Driven`."""
-        return np.zeros_like(X)
+        Points are at x (X if frozen), initially at X (n, d); ``moved`` (m,) is where to linearise.
+        """
+        return self.along(x - self.pose().position)
 
     def along(self, arm: Floats) -> Floats:
         """Displacements (m, n, d) by one unit of each motion at arms (n, d)."""
@@ -217,11 +198,11 @@ class RigidBody:
 
     def ahead(self, amounts: Floats) -> Floats:
         """Travel (3,) or (6,) plus amounts (m,)."""
-        step, d = self.steps(amounts), len(self.point)
-        return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
+        (travel, step), d = (self.travel, self.steps(amounts)), len(self.point)
+        return np.concatenate([travel[:d] + step[:d], self._after(travel[d:], step[d:])])
 
     def move(self, amounts: Floats) -> None:
-        """See `Driven`."""
+        """Move the body by amounts (m,) of its motions."""
         self.travel = self.ahead(amounts)
 
 
@@ -406,28 +387,19 @@ def spun(arm: Floats, rotation: Floats) -> Floats:
 
 def turn_between(before: Pose, now: Pose) -> Floats:
     """Rotation (1,) or (3,) between two poses, with whole turns."""
-    change = now.rotation - before.rotation
-    if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
-        return _vector_near(
-            scipy.spatial.transform.Rotation.from_matrix(now.R @ before.R.T), change
-        )
-    return change
+    return after(-before.rotation, now.rotation)
 
 
 def after(rotation: Floats, step: Floats) -> Floats:
     """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
-    if len(rotation) == 1:
-        return rotation + step
-    turned = _turn(step) * _turn(rotation)
-    return _vector_near(turned, rotation + step)
-
-
-def _vector_near(turned: Any, guess: Floats) -> Floats:
-    found = np.asarray(turned.as_rotvec())
+    near = rotation + step
+    if len(near) == 1:
+        return near
+    found = np.asarray((_turn(step) * _turn(rotation)).as_rotvec())
     angle = float(np.linalg.norm(found))
-    axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
-    turns = np.round((guess @ axis - angle) / (2.0 * np.pi))
-    return found if turns == 0.0 else np.asarray(found + 2.0 * np.pi * turns * axis)
+    axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(near[None])[1][0]
+    turns = np.round((near @ axis - angle) / (2.0 * np.pi))
+    return np.asarray(found + 2.0 * np.pi * turns * axis)
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
