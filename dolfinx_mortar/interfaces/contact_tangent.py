@@ -277,7 +277,7 @@ class _ToolNormals:
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
         x = coordinates(link.sides.slave, u)[: link.sides.slave.owned]
-        at = self._tool.pose().distance(self._tool.asked, x)
+        at = self._tool.distance(x)
         size, g = unit_vectors(at.gradient)
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
         turned = -across @ at.hessian / np.maximum(size, TINY)[:, None, None]
@@ -291,10 +291,10 @@ def _below_tool(
     """Derivatives on all facets that face a tool; collective."""
     slave, pattern, x = link.sides.slave, link.pattern, coordinates(link.sides.slave, u)
     assert isinstance(pattern, SidePattern) and pattern.side is not None
-    side, pose, shape, d = pattern.side, tool.pose(), tool.asked, x.shape[1]
-    facing = find_facing(side, pose, shape, x)
+    side, d = pattern.side, x.shape[1]
+    facing = find_facing(side, tool, x)
     segments, points = whole_facets(side, x, facing)
-    phi, found = point_gaps(pattern, pose, shape, u, segments, points)
+    phi, found = point_gaps(pattern, tool, u, segments, points)
     which, facets = np.flatnonzero(facing), facets_at(slave, x)[facing]
     nodes, k = slave.facets[which], slave.element.nodes
     slope = found.gradient[:, None]

@@ -25,7 +25,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import Triplets
-from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
@@ -131,17 +130,14 @@ class ToolPartners(Partners):
         at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
         if frozen:
             at = link.sides.slave.X[: link.sides.slave.owned]
-        began = tool.began
-        place = began.to_tool(at)
-        with raised_together(link.sides.V.mesh.comm):
-            found = tool.asked.distance(place)
+        began, found = tool.began, tool.distance(at, tool.began)
         known = np.ones(len(n), dtype=bool)
         whole = scalars.matrix.copy(), known, n, np.zeros(len(n)), 0.0 * n
         return cls(
             *whole,
             at=at,
-            place=place - found.value[:, None] * found.gradient,
-            into=-found.gradient,
+            place=began.to_tool(at - found.value[:, None] * found.gradient),
+            into=-found.gradient @ began.R,
             tool=tool,
             began=began,
             frozen=frozen,
@@ -165,7 +161,7 @@ class ToolPartners(Partners):
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
         """See `Partners`."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
-        arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
+        arcs, found = self._arcs(link, x), self.tool.distance(x)
         g = found.gradient
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
         across -= found.value[:, None, None] * found.hessian
@@ -175,8 +171,7 @@ class ToolPartners(Partners):
         return by_chord @ across, by_n
 
     def _arcs(self, link: CoupledSides, x: Floats) -> _Arcs:
-        now = self.tool.pose()
-        found, end = now.distance(self.tool.asked, x), link.coupling.normals
+        now, found, end = self.tool.pose(), self.tool.distance(x), link.coupling.normals
         foot = x - found.value[:, None] * found.gradient
         return _Arcs(foot - now.to_space(self.place), self.into @ now.R.T, end)
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy
 
@@ -25,7 +27,7 @@ from dolfinx_mortar.mortar.operators import WholeSide
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.shapes import Distance, Shape
-from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
+from dolfinx_mortar.shapes.shape import check_returned, unit_vectors
 from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
@@ -58,8 +60,9 @@ class Pose:
         return (xi - self.point) @ self.R.T + self.position
 
     def distance(self, shape: Shape, x: Floats) -> Distance:
-        """Distances of points (n, d) from a shape."""
-        found, R = shape.distance(self.to_tool(x)), self.R
+        """Checked distances of points (n, d) from a shape."""
+        at, R = self.to_tool(x), self.R
+        found = check_returned(shape, shape.distance(at), at)
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
 
@@ -241,52 +244,10 @@ class Movable:
         return self.rigid.travel.copy()
 
 
-class Asked(Shape):
-    """A shape with checked distances; points of a failed rank count as far away."""
-
-    def __init__(self, shape: Shape) -> None:
-        self.shape, self.point = shape, shape.point
-        self.alone = True
-        self._error: Exception | None = None
-
-    def distance(self, x: Floats) -> Distance:
-        """See `Shape`."""
-        try:
-            return check_returned(self.shape, self.shape.distance(x), x)
-        except Exception as error:
-            self._wait(error)
-        n, d = x.shape
-        ahead = np.tile(np.eye(d)[0], (n, 1))
-        return Distance(np.full(n, self._far(x)), ahead, np.zeros((n, d, d)))
-
-    def values(self, x: Floats) -> Floats:
-        """See `Shape`."""
-        try:
-            found = self.shape.values(x)
-            check_finite(f"{type(self.shape).__name__}: the distance", found, x)
-            return found
-        except Exception as error:
-            self._wait(error)
-        return np.full(len(x), self._far(x))
-
-    def failed(self) -> Exception | None:
-        """Return and forget the first error on this rank."""
-        error, self._error = self._error, None
-        return error
-
-    def _wait(self, error: Exception) -> None:
-        if self.alone:
-            raise error
-        self._error = self._error or error
-
-    def _far(self, x: Floats) -> float:
-        return 1.0 + float(np.abs(x - self.point).max(initial=0.0))
-
-
 class Tool(RigidBody):
     """A shape and its pose; `began` is the pose at the last commit."""
 
-    def __init__(self, shape: Any, reference: Any, d: int) -> None:
+    def __init__(self, comm: MPI.Comm, shape: Any, reference: Any, d: int) -> None:
         if not isinstance(shape, Shape):
             raise ValueError(
                 f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
@@ -298,7 +259,7 @@ class Tool(RigidBody):
             )
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
-        self.shape, self.asked = shape, Asked(shape)
+        self.comm, self.shape = comm, shape
         self.began = self.pose()
 
     def check(self, d: int, revolved: bool) -> None:
@@ -306,6 +267,11 @@ class Tool(RigidBody):
         if misfit := self.shape.misfit(d, revolved):
             raise ValueError(f"shape: {misfit}")
         self.revolved = revolved
+
+    def distance(self, x: Floats, pose: Pose | None = None) -> Distance:
+        """Distances of points (n, d) at present or in another pose; collective."""
+        with raised_together(self.comm):
+            return (pose or self.pose()).distance(self.shape, x)
 
     def probed(self) -> list[float] | str:
         """Coordinate of points around the shape's, and distances of these, or how they fail."""
@@ -402,11 +368,11 @@ def after(rotation: Floats, step: Floats) -> Floats:
     return np.asarray(found + 2.0 * np.pi * turns * axis)
 
 
-def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Facets (m,) that face the tool within 78 degrees, for nodes at x."""
+def find_facing(side: WholeSide, tool: Tool, x: Floats) -> Bools:
+    """Facets (m,) that face the tool within 78 degrees, for nodes at x; collective."""
     facets = facets_at(side.slave, x)
-    tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
-    return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
+    out = tool.distance(facets.x.mean(axis=1)).gradient
+    return np.asarray(-(facet_normals(facets) * out).sum(axis=1) > FACING)
 
 
 @dataclass(frozen=True)
@@ -421,8 +387,7 @@ class SidePattern(Pattern):
 
 def point_gaps(
     pattern: SidePattern,
-    pose: Pose,
-    shape: Shape,
+    tool: Tool,
     u: fem.Function | None,
     segments: Segments,
     points: Floats,
@@ -434,12 +399,10 @@ def point_gaps(
     """
     assert pattern.side is not None
     slave = pattern.side.slave
-    with raised_together(slave.V.mesh.comm):
-        if pattern.nodal:
-            found = pose.distance(shape, coordinates(slave, u))
-            of_nodes = found.value[slave.facets[segments.slave]]
-            return np.asarray((segments.N * of_nodes).sum(axis=1)), found
-        found = pose.distance(shape, points)
+    found = tool.distance(coordinates(slave, u) if pattern.nodal else points)
+    if pattern.nodal:
+        of_nodes = found.value[slave.facets[segments.slave]]
+        return np.asarray((segments.N * of_nodes).sum(axis=1)), found
     if pattern.own is None:
         return found.value, found
     heights = side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)
