@@ -32,8 +32,9 @@ from dolfinx_mortar.interfaces.coupling import (
     create_pattern,
     mark,
 )
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.results import Results
-from dolfinx_mortar.interfaces.tool import Driven, RigidBody, Tool
+from dolfinx_mortar.interfaces.tool import RigidBody, Tool
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.mirrors import judge_supports
@@ -202,7 +203,7 @@ class Interface(Collective, Results, ABC):
         """Derivatives for the pattern of a link, or None; collective."""
         return None
 
-    def driven(self) -> Driven | None:
+    def driven(self) -> RigidBody | Bolt | None:
         """Motions driven by given forces, or None if all are prescribed."""
         return self.rigid if self.rigid is not None and self.rigid.load else None
 

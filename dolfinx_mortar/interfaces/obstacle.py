@@ -21,7 +21,6 @@ from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
-from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -113,7 +112,9 @@ class Obstacle(Movable, Unilateral):
         super().__init__(facet_tags, slave=slave)
         named = check_optional("surface", surface, SURFACES)
         self.meant = None if named is None else named == "smooth"  # None: by the order
-        self.rigid = self.tool = Tool(shape, reference, facet_tags.topology.dim)
+        self.rigid = self.tool = Tool(
+            facet_tags.topology.comm, shape, reference, facet_tags.topology.dim
+        )
         self.load = load or {}
         self.law = create_law(friction, tresca)
 
@@ -140,7 +141,6 @@ class Obstacle(Movable, Unilateral):
         """Assign to a problem; slips count from here; collective."""
         super().take(owner, V)
         self.tool.began = self.tool.pose()
-        self.tool.asked.alone = V.mesh.comm.size == 1
 
     def pair(
         self,
@@ -180,9 +180,7 @@ class Obstacle(Movable, Unilateral):
         """See `Interface.measure_coverage`; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
-        with raised_together(sides.V.mesh.comm):
-            close = self.tool.pose().distance(self.tool.asked, coordinates(slave, u)).value
-        near = np.asarray(close <= FACETS * length)
+        near = np.asarray(self.tool.distance(coordinates(slave, u)).value <= FACETS * length)
         reached = on_facets(slave, near[slave.facets].any(axis=1))[own]
         return Coverage(reached.astype(np.float64), reached, np.zeros_like(reached), near[own])
 
@@ -198,11 +196,9 @@ class Obstacle(Movable, Unilateral):
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
-        with raised_together(comm):  # errors of users
-            pose = self.tool.pose()
-            at_nodes = pose.distance(self.tool.asked, x)
+        at_nodes, facing = self.tool.distance(x), find_facing(side, self.tool, x)
+        with raised_together(comm):
             self._check_distance(at_nodes, x, side.facet_length)
-            facing = find_facing(side, pose, self.tool.asked, x)
         size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
         into = -at_nodes.gradient / size[:, None]
         _, left = free_directions(into, sides.fixed[slave.nodes])
@@ -211,7 +207,7 @@ class Obstacle(Movable, Unilateral):
         if any_rank(comm, banned[slave.nodes].any())[0]:
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
-        gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
+        gaps, _ = point_gaps(pattern, self.tool, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(into[own] * at[:, :-1]).sum(axis=1) - at[:, -1]
@@ -239,11 +235,6 @@ class Obstacle(Movable, Unilateral):
                 "give phi / abs(grad phi), or the distance itself"
             )
 
-    def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """See `Interface.derivatives`; collective."""
-        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
-        return ToolDerivatives(link, link.pattern.side, self.tool)
-
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warn of a tool that no facet faces or that starts in the body; collective."""
         sides, comm = link.sides, link.sides.V.mesh.comm
@@ -255,7 +246,7 @@ class Obstacle(Movable, Unilateral):
                 f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
                 "of the tool, towards the body: turn it round if it does not"
             ]
-        depth = np.where(kept, -self.tool.began.distance(self.tool.asked, at).value, -np.inf)
+        depth = np.where(kept, -self.tool.distance(at, self.tool.began).value, -np.inf)
         deepest = depth.max(initial=-np.inf)
         mine = at[int(np.argmax(depth))].tolist() if len(at) else []
         most, place = max(comm.allgather((float(deepest), mine)))

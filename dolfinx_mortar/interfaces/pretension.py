@@ -30,7 +30,7 @@ AROUND = 0.1
 
 @dataclass(frozen=True)
 class Bolt:
-    """Overlap s of a tie along n as an unknown with given conjugate force F, see `Driven`."""
+    """Overlap s of a tie along n as an unknown with given conjugate force F."""
 
     axis: Floats  # (d,) n
     force: Callable[[], float]
@@ -51,12 +51,8 @@ class Bolt:
         return np.array([self.force()])
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Unit vector n at each node (1, n, d)."""
+        """See `RigidBody`: n at each node (1, n, d)."""
         return np.tile(self.axis, (1, len(X), 1))
-
-    def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Zero: n is fixed."""
-        return np.zeros_like(X)
 
     def move(self, amounts: Floats) -> None:
         """Add s (1,)."""

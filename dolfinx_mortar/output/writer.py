@@ -260,7 +260,7 @@ class _ToolFile(File):
                 (numbers, f"tool_{number:06d}", of[:, None]),
             )
         pairs = zip(self.points, tools, strict=True)
-        x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
+        x = np.concatenate([tool.pose().to_space(points) for points, (tool, _) in pairs])
         x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
         step = new_step(new.done, new.time, "tools")
         geometry = ET.Element("Geometry", GeometryType="XYZ")

@@ -133,7 +133,7 @@ def field(
         values = found.x.array[found.function_space.dofmap.list[:owned, 0]]
     bodies = gather_bodies(V, _moved(V, solid.u, scale), values, name in of_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
-    tools = [one.tool.outline() for one in every if one.tool is not None]
+    tools = [one.tool for one in every if one.tool is not None]
 
     to = file, view, ax
     return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))
@@ -271,10 +271,11 @@ def near_surfaces(tools: Sequence[Any], low: Floats, high: Floats) -> Iterator[t
     """Yield points and lines or triangles (m, d) of tools near a box from low (d,) to high (d,)."""
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, len(low))
     for tool in tools:
-        within = tool.pose.to_tool(corners)
+        pose = tool.pose()
+        within = pose.to_tool(corners)
         points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
         if len(cells):
-            yield tool.pose.to_space(points), cells
+            yield pose.to_space(points), cells
 
 
 def gather_bodies(

@@ -23,7 +23,6 @@ from dolfinx_mortar.algebra.parallel import (
     any_rank,
     from_callbacks,
     maximum,
-    raise_together,
     raised_together,
 )
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
@@ -35,7 +34,7 @@ from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.interfaces.tool import Outline
+from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -195,7 +194,6 @@ class ContactProblem:
             increment = max(data.increment, found.largest_slip(self.vector(self.owned_u)))
             data = replace(data, increment=increment, partners=partners)
         self._enter(found)
-        self.raise_failed()
         if audit:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
@@ -204,12 +202,6 @@ class ContactProblem:
                     if self.is_new(warning):
                         log.warning("%s", warning)
         return data
-
-    def raise_failed(self) -> None:
-        """Raise errors of tools' shapes on all ranks; collective."""
-        tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
-        failed = [error for shape in tools if (error := shape.failed()) is not None]
-        raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
         limits = []
@@ -287,7 +279,6 @@ class ContactProblem:
                 found = self.system.at(self.configuration)
                 self.system.enter(found)
             audit = self._audit(increment)
-            self.raise_failed()
             return audit
 
     def _check_mesh(self) -> None:
@@ -446,7 +437,7 @@ class ContactProblem:
             fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields
 
-    def output_tools(self) -> list[tuple[Outline, Floats]]:
+    def output_tools(self) -> list[tuple[Tool, Floats]]:
         """See `InterfaceSystem.tools_at`; collective."""
         return self.system.tools_at(self.u)
 

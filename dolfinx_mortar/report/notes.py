@@ -245,10 +245,10 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
     side, faceted = pattern.side, pattern.faceted
     if tool is None or side is None or faceted is None or slave.element.degree > 1 or pattern.nodal:
         return None
-    pose, x = tool.pose(), coordinates(slave, u)
-    segments, points = whole_facets(side, x, find_facing(side, pose, tool.asked, x))
+    x = coordinates(slave, u)
+    segments, points = whole_facets(side, x, find_facing(side, tool, x))
     flat, smooth_gaps = (
-        point_gaps(which, pose, tool.asked, u, segments, points)[0]
+        point_gaps(which, tool, u, segments, points)[0]
         for which in (pattern, replace(pattern, nodal=True))
     )
     weight = link.coupling.weight

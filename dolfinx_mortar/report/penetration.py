@@ -120,17 +120,17 @@ def _point(x: Iterable[float]) -> str:
 def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
-    facing = find_facing(side, pose, tool.asked, x)
+    facing = find_facing(side, tool, x)
     segments, points = whole_facets(side, x, facing)
     nodes = x[side.slave.facets]
     sizes, places = facet_sizes(nodes), np.concatenate([points, nodes.mean(axis=1)[facing]])
     facets = facets_at(side.slave, x)
     corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
-    point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
+    point = np.broadcast_to(pose.to_space(tool.shape.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
     below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-    depth = np.concatenate([-pose.distance(tool.asked, places).value, below[met]])
+    depth = np.concatenate([-tool.distance(places).value, below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
     off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
     places = np.concatenate([places, point[met]])

@@ -9,8 +9,6 @@ order 4. Corners beyond ``crease`` are sharp, with edges as arcs.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -89,12 +87,6 @@ class Polyline(Curved):
         """Points (n, 2), and lines (m, 2) between them."""
         first = np.arange(len(self._p))
         return self.points, np.stack([first, (first + 1) % len(self.points)], axis=1)
-
-    def given(self) -> Mapping[str, Any]:
-        """See `Shape`; with a digest of the points."""
-        digest = hashlib.sha256(self.points.tobytes()).hexdigest()
-        names = {"point": self.point, "crease": self.crease, "closed": self.closed}
-        return {"points": digest, **names}
 
     def __repr__(self) -> str:
         return f"Polyline({len(self.points)} points{'' if self.closed else ', closed=False'})"

@@ -12,10 +12,8 @@ smooth edges flat.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,13 +100,8 @@ def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Tria
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     sides = _length(x - x[:, [1, 2, 0]])
     flat = _length(across) <= HALF_OF_DIGITS * sides.max(axis=1) ** 2
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        flat,
-        "triangles without area",
-        "remove them, and let their neighbours have common corners",
-    )
+    remedy = "remove them, and let their neighbours have common corners"
+    refuse("surface has", x.mean(axis=1), flat, "triangles without area", remedy)
     beyond = _find_neighbours(x, triangles, rim)
     volume = float((x[:, 0] * np.cross(x[:, 1], x[:, 2])).sum())
     if (beyond >= 0).all() and volume < 0.0:
@@ -121,44 +114,36 @@ def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Tria
 
 def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     """Triangle beyond each edge (m, 3), -1 at a rim."""
-    ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
-    _, place, count = np.unique(
-        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    place = place.ravel()
-    uses = count[place].reshape(-1, 3)
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        np.asarray((uses > 2).any(axis=1)),
-        "triangles with an edge of three or more of them",
+
+    def refuse_some(wrong: Bools, what: str, remedy: str) -> None:
+        at = np.asarray(wrong.reshape(-1, 3).any(axis=1))
+        refuse("surface has", x.mean(axis=1), at, f"triangles {what}", remedy)
+
+    ends, size = np.stack([triangles, triangles[:, SECOND]], axis=2), triangles.max() + 1
+    keys, others = (ends @ [size, 1]).ravel(), (ends @ [1, size]).ravel()
+    _, place, count = np.unique(np.minimum(keys, others), return_inverse=True, return_counts=True)
+    refuse_some(
+        count[place] > 2,
+        "with an edge of three or more of them",
         "no surface does that; leave out what is inside the tool",
     )
-    order = np.argsort(place, kind="stable")
-    starts = np.cumsum(count) - count
-    both = count == 2
-    one, other = order[starts[both]], order[starts[both] + 1]
-    beyond = np.full(len(ends), -1, dtype=np.int64)
-    beyond[one], beyond[other] = other // 3, one // 3
-    against = ends[one, 0] == ends[other, 0]
-    turned = np.bincount(np.append(one[against], other[against]) // 3, minlength=len(x))
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        np.asarray(turned > (turned > 1).any()),  # of the majority
-        "triangles that are turned against their neighbours",
+    order = np.argsort(keys)
+    found = order[np.minimum(np.searchsorted(keys[order], others), len(keys) - 1)]
+    beyond = np.where(keys[found] == others, found // 3, -1).reshape(-1, 3)
+    alone = (beyond.ravel() < 0) & (count[place] == 2)
+    most = alone.reshape(-1, 3).sum(axis=1)
+    refuse_some(
+        np.repeat(most > (most > 1).any(), 3),  # of the majority
+        "that are turned against their neighbours",
         "order the corners of all counterclockwise as seen from outside of the tool",
     )
-    found = beyond.reshape(-1, 3)
     if not rim:
-        refuse(
-            "surface has",
-            x.mean(axis=1),
-            np.asarray((found < 0).any(axis=1)),
-            "triangles at a hole",
+        refuse_some(
+            beyond.ravel() < 0,
+            "at a hole",
             "close it; or give rim=True for a surface that ends beside the body",
         )
-    return found
+    return beyond
 
 
 def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -208,6 +193,7 @@ class Triangles(Curved):
             if not file:
                 raise
             self._unread = error  # perhaps on this rank only
+            self._digest = f"not read, {error}"
             return
         self._triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
@@ -234,15 +220,6 @@ class Triangles(Curved):
     def surface(self) -> tuple[Floats, Longs]:
         """See `Shape`."""
         return self.triangulation.points, self.triangulation.triangles
-
-    def given(self) -> Mapping[str, Any]:
-        """See `Shape`; with a digest of the triangles."""
-        names = {"point": self.point, "crease": self.crease, "rim": self.rim}
-        if self._unread is not None:
-            return {"surface": f"not read, {self._unread}", **names}
-        shape = self.triangulation
-        digest = hashlib.sha256(shape.points.tobytes() + shape.triangles.tobytes()).hexdigest()
-        return {"surface": digest, **names}
 
     def __repr__(self) -> str:
         of = f"{self.file!r}, " if self.file else ""

@@ -32,7 +32,8 @@ from dolfinx_mortar.common.arrays import (
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Bolt
-from dolfinx_mortar.interfaces.tool import Driven
+from dolfinx_mortar.interfaces.rigid_side import Plate
+from dolfinx_mortar.interfaces.tool import RigidBody
 from dolfinx_mortar.problem.contacts import Contacts, Residuals
 from dolfinx_mortar.problem.linearisation import (
     Balance,
@@ -63,7 +64,7 @@ class Drives:
     def __init__(
         self,
         problem: ContactProblem,
-        tools: Sequence[tuple[Link, Driven]],
+        tools: Sequence[tuple[Link, RigidBody | Bolt]],
         known: Floats | None = None,
     ) -> None:
         self.problem, self.tools, self.comm = problem, tools, problem.comm
@@ -92,7 +93,7 @@ class Drives:
         self.loads: Floats = loads + self.comm.allreduce(works, op=MPI.SUM)
         self.held = np.concatenate(held)
         self.follows = np.repeat([tool.holds for _, tool in tools], counts)
-        sides = [tool.holds and not isinstance(tool, Bolt) for _, tool in tools]
+        sides = [isinstance(tool, Plate) for _, tool in tools]
         self.sides = np.repeat(sides, counts)
 
     def _each(self, *values: Floats | Bools) -> Iterator[Any]:
@@ -113,7 +114,7 @@ class Drives:
         """Rotations of rigid sides by q (m,) minus e.q (n,)."""
         beside = np.zeros((self.problem.n, self.problem.d))
         for (link, tool), q in self._each(travel):
-            if tool.holds:
+            if isinstance(tool, Plate):
                 at = self.problem.X[link.nodes]
                 beside[link.nodes] += tool.curve(at, q) * link.constrained
         return beside.ravel()

@@ -130,7 +130,6 @@ def solve_step(
             except FAILED as error:
                 reached = problem.u.x.array.copy()
                 problem.undo(before)
-                problem.raise_failed()
                 if not linear.direct:
                     linear.clear()  # its levels are those of undone tangents
                 raise failures.explain(problem, report, error, reached) from error
@@ -242,7 +241,6 @@ class _Step:
         self, old: Iterate, residuals: list[Residuals], *, exact: bool
     ) -> tuple[Iterate, Residuals]:
         problem, number, rtol = self.problem, len(self.report.iterations) + 1, self.report.rtol
-        problem.raise_failed()
         free_unused(problem.comm)
         found = self.qps.solve(old, residuals, exact=exact)
         lin, solved = found.lin, found.solved

@@ -33,7 +33,6 @@ def finish(
     negative = iterate.negative or _ends_indefinite(qps, report)
     report.notes += find_notes(end) + _notes_on_shifts(problem, report, negative)
     report.certificate = create_certificate(end, balances)
-    problem.raise_failed()
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired_at
     normal, tangential = -contact_forces(problem, contacts)
