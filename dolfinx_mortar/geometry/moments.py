@@ -15,10 +15,10 @@ import numpy as np
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area
-from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps, place
+from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
-from dolfinx_mortar.geometry.plane import count, on_facets, project
+from dolfinx_mortar.geometry.plane import count, project, reference_parts
 from dolfinx_mortar.geometry.tolerances import KERNEL
 
 
@@ -146,7 +146,7 @@ def create_points(
         slave: N, dN, ddN of `FacetElement.functions`.
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
-        weight: (s, q) on the slave's reference facet.
+        weight: (s, q) areas on the slave, or lengths.
         given: nodal weights (s, k); reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
         heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
@@ -155,11 +155,11 @@ def create_points(
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
     T, U, apart = sums(dN, x), sums(dM, y), sums(M, y) - sums(N, x)
-    dual, normal = dual_basis(T)
+    dual, _ = dual_basis(T)
     scale = sums(N, factor)
     by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
     by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
-    weight = weight * scale[..., 0] * np.linalg.norm(normal, axis=2)
+    weight = weight * scale[..., 0]
     h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
     for i, one in enumerate(own if heights[0].size else ()):
         rise, by_N[i], by_chord = height(one, heights[i], heights[2][:, i])
@@ -218,7 +218,7 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
+def _find_edges(x_s, x_m, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
     """Edges (q, 4) on edges of masters: triangle, edge, pair with the master, its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
@@ -262,7 +262,7 @@ def moments_in_space(
     line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
     inner = _create(given, over.which, over.corners, areas(over.corners), rule)
     _add_inner(over, inner, found)
-    edges = _find_edges(*over.sides, *over.planes[:2], over.which, over.corners, over.hidden)
+    edges = _find_edges(*over.of_planes, over.hidden)
     ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
     which, one = over.which[edges[:, 0]], np.ones(len(edges))
     crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
@@ -283,7 +283,7 @@ class _OfPairs(NamedTuple):
     """Points (s, q) of triangles, or of lines, of pairs."""
 
     at: Points
-    xi: Floats  # (s, q, 2) on the slave's part
+    xi: Floats  # (s, q, 2) on the slave
     part: Longs  # (s,) of the slave
     facet: Longs  # (s,)
     pair: Ints  # (s,)
@@ -304,16 +304,11 @@ def _create(
     over, tilts = given.over, given.tilts
     slave, master, a = over.slave, over.master, count(over.slave.element)
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
-    at = which, corners, size, first, False, *rule, np.array([0, q])
-    on, xi, xi_m, weight = place(*over.sides, *over.planes, *at)
-    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, 2), xi
-    if slave.element.part or master.element.part:
-        on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
-        xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
-        weight *= slave.element.size / (a * slave.element.first.size)
+    _, xi_s, xi_m, weight = over.place(which, corners, size, first, (*rule, np.array([0, q])))
+    part, shape = over.pairs[which, 0].astype(np.int64), (len(which), q, 2)
     lost = np.isnan(xi_m[:, 0])
     xi_m[lost], weight[lost] = 0.0, 0.0
-    xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
+    xi_s, xi_m = (v.reshape(shape) for v in (xi_s, xi_m))
     facet, pair = part // a, over.of[which]
     nodes = slave.x[facet], master.x[pair]
     points = create_points(
@@ -330,7 +325,7 @@ def _create(
     which = np.concatenate([own, k + given.sides.place[pair]], axis=1)
     x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
     frame = tuple(v[part] for v in given.frames)
-    return _OfPairs(points, xi, part, facet, pair, which, x, frame)
+    return _OfPairs(points, xi_s, part, facet, pair, which, x, frame)
 
 
 def _nodes_of_lines(given: _Given, pair: Longs, corners: Longs) -> Longs:
@@ -352,7 +347,7 @@ def _oblique(V: Floats, n: Floats) -> Floats:
 def _frames(over: Overlaps) -> tuple[Floats, ...]:
     """Axes u (p, 2, 3) and normals n (p, 3) of planes, and g (p, k, 3), see `turns`."""
     axes = over.planes[1] * over.planes[2][:, None, None]
-    _, g = turns(over.parts.element, over.parts.x)
+    _, g = turns(over.parts[0].element, over.parts[0].x)
     every = np.arange(len(axes))
     return axes[:, :2], axes[:, 2], np.swapaxes(_scattered(over.slave.element, every), 1, 2) @ g
 
@@ -360,6 +355,13 @@ def _frames(over: Overlaps) -> tuple[Floats, ...]:
 def _scattered(element: FacetElement, part: Longs) -> Floats:
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
+
+
+def _of_parts(element: FacetElement, part: Longs, xi: Floats) -> Floats:
+    """Functions of parts at points xi (s, q, 2) of facets."""
+    x = reference_parts(element)[part % count(element)]
+    N, slopes, _ = element.first.functions(np.zeros((1, 2)))  # affine parts
+    return element.first.functions((xi - N @ x) @ np.linalg.inv(slopes @ x))[0]
 
 
 def _add_inner(over: Overlaps, inner: _OfPairs, found: Sums) -> None:
@@ -404,7 +406,7 @@ def _add_edges(
     points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
     share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
     share = np.stack([1.0 - share, share], axis=2)
-    N = sums(over.parts.element.functions(inner.xi)[0], _scattered(over.slave.element, part))
+    N = sums(_of_parts(over.slave.element, part, inner.xi), _scattered(over.slave.element, part))
     h = (share @ lines - sums(N, inner.x[:, :k])) @ n[:, :, None]
     outwards = ((way[:, ::-1] * [1.0, -1.0] / radius[:, None])[:, None] @ u)[:, None]
     by_x = (h * (g @ outwards[:, 0, 0, :, None])[:, None, :, 0])[..., None] * n[:, None, None]
