@@ -112,10 +112,9 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
     At the centre, by the vertices.
     """
     part = element.first
-    xi = part.points[list(part.vertices)].mean(axis=0)
     corners = Facets(part, x[:, : part.nodes])
     which = np.arange(len(x), dtype=np.int32)
-    g, n = surface_gradients(corners, which, np.broadcast_to(xi, (len(x), len(xi))))
+    g, n = surface_gradients(corners, which, np.repeat(part.centre, len(x), axis=0))
     return n, np.pad(g, ((0, 0), (0, x.shape[1] - part.nodes), (0, 0)))
 
 
