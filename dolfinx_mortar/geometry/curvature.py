@@ -135,9 +135,8 @@ def own_curvatures(facets: Facets) -> Floats:
     [[[1.0, 0.0], [0.0, 1.0]]]
     """
     element, (m, k, d) = facets.element, facets.x.shape
-    middle = element.points[list(element.vertices)].mean(axis=0)[None]
-    n = unit(scaled_normals(facets, middle)[:, 0])
-    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.functions(middle)[1][0].T)
+    n = unit(scaled_normals(facets, element.centre)[:, 0])
+    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.functions(element.centre)[1][0].T)
     x = facets.x - facets.x.mean(axis=1, keepdims=True)
     y, w = x @ np.swapaxes(to_y, 1, 2), np.einsum("mki,mi->mk", x, n)
     i, j = np.triu_indices(d - 1)

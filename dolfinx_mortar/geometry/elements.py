@@ -48,6 +48,16 @@ class FacetElement:
         return tuple(range(self.first.nodes))
 
     @property
+    def centre(self) -> Floats:
+        """The centre (1, d-1) of the reference facet."""
+        return self.first.points.mean(axis=0, keepdims=True)
+
+    @property
+    def normal_points(self) -> Floats:
+        """Points (k, d-1) at which nodes take normals: of degree 1 the centre, the mean."""
+        return self.points if self.degree > 1 else np.repeat(self.centre, self.nodes, axis=0)
+
+    @property
     def bilinear(self) -> bool:
         """Whether the map of the vertices is bilinear, else affine."""
         return self.cell == "quadrilateral"

@@ -33,15 +33,8 @@ def area_vectors(facets: Facets) -> Floats:
         >>> area_vectors(Facets(QUAD4, x)) + 0.0
         array([[0., 0., 2.]])
     """
-    if facets.x.shape[2] == 2:
-        first, last = facets.element.vertices
-        n = (facets.x[:, last] - facets.x[:, first])[:, ::-1].copy()
-        np.negative(n[:, 1], out=n[:, 1])
-        return n
-    x = facets.x[:, facets.element.vertices]
-    if facets.element.bilinear:
-        return np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]) / 2
-    return np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2
+    first = facets.element.first
+    return scaled_normals(Facets(first, facets.x[:, : first.nodes]), first.centre)[:, 0]
 
 
 def facet_normals(facets: Facets) -> Floats:
@@ -63,12 +56,7 @@ def unit(v: Floats) -> Floats:
 
 def normals_at_nodes(facets: Facets) -> Floats:
     """Outward unit normals (m, k, d) of facets at nodes; for degree 1 the mean normal."""
-    element, m = facets.element, len(facets.x)
-    if element.degree == 1:
-        return np.repeat(facet_normals(facets)[:, None], element.nodes, axis=1)
-    which = np.repeat(np.arange(m, dtype=np.int32), element.nodes)
-    _, n = surface_gradients(facets, which, np.tile(element.points, (m, 1)))
-    return n.reshape(facets.x.shape)
+    return unit(scaled_normals(facets, facets.element.normal_points))
 
 
 def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
@@ -107,7 +95,7 @@ def dual_basis(a: Floats) -> tuple[Floats, Floats]:
 def _normals(a: Floats) -> Floats:
     if a.shape[-1] == 2:
         return np.stack([a[..., 0, 1], -a[..., 0, 0]], axis=-1)
-    return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]), dtype=np.float64)
+    return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]))
 
 
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:

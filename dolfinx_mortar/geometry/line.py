@@ -185,13 +185,13 @@ def moments(
     kinds = (slave, x), (slave, n), (master, Y)
     facets = [_polynomials(element, v) for element, v in kinds]
     which, ends = _clip(*facets, np.ascontiguousarray(Y[:, :2]), pairs, deepest)
-    xi, eta, _ = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
+    xi, eta, w = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
     on, half, n = of[which], np.diff(ends)[:, :, None] / 2, n[of[which]]
     at = create_points(
         slave.functions(xi),
         master.functions(eta)[:2],
         (x[on], Y[which]),
-        weights * half[..., 0],
+        w[..., 0],
         (factor[on], reach[on]),
         turns(slave, x[on]),
         [v[which] if len(v) else v for v in heights],

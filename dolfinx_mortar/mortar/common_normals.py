@@ -103,7 +103,7 @@ def find_spreads(
     around = boundary[np.flatnonzero(near)]
     S += blur[nodes, None, None] * np.eye(S.shape[1])
     every = np.arange(len(around.nodes), dtype=np.int32)
-    middle = around.facets.element.points.mean(axis=0)[None].repeat(len(every), axis=0)
+    middle = around.facets.element.centre.repeat(len(every), axis=0)
     slopes = surface_gradients(around.facets, every, middle)
     return Spreads(V, nodes, S, mirrors, turned, around, *slopes)
 

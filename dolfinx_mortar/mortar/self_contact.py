@@ -104,7 +104,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     rank = np.empty(n, dtype=np.int64)
     rank[order] = np.arange(n)
     a, b = np.sort(np.stack([rank[a], rank[b]]), axis=0)
-    beside, slaves = _neighbours(keys[order], X.shape[2] - 1), n
+    beside, slaves = neighbours(keys[order], X.shape[2] - 1), n
     powers = np.rint(np.log2(size[order][a] / size[order][b]))
     unequal = powers != 0.0
     finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
@@ -134,7 +134,8 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     return ~odd[rank]
 
 
-def _neighbours(keys: Longs, least: int) -> Longs:
+def neighbours(keys: Longs, least: int) -> Longs:
+    """Pairs (2, p) of rows (n, k) with at least so many common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))

@@ -392,12 +392,10 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
     """Surface gradients [f, j, l] of N_l at node j."""
-    element, (m, k, d) = facets.element, facets.x.shape
-    points = element.points
-    if element.degree == 1:  # the mean normal is that at the centre
-        points = np.broadcast_to(points.mean(axis=0), points.shape)
+    m, k, d = facets.x.shape
     which = np.repeat(np.arange(m, dtype=np.int32), k)
-    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
+    points = np.tile(facets.element.normal_points, (m, 1))
+    gradients, _ = surface_gradients(facets, which, points)
     return gradients.reshape(m, k, k, d)
 
 
