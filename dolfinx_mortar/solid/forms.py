@@ -209,7 +209,7 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    derived = law.update is None and law.stress is None and law.tangent is None
+    derived = not law.at_points and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 
 
