@@ -56,7 +56,6 @@ TABLES |= {"DEPTHS", "RADII"}  # ranges
 TABLES |= {"HIGHEST_RULE", "ROUND"}  # what is refused, in test_errors and test_analytic
 TABLES |= {"ANYWHERE", "_CORNERS", "GRADIENT"}  # a point and a cell, how gradients are stored
 TABLES |= {"FINITE_RTOL", "STRETCHES", "VOLUMES", "WEIGHTS"}  # in test_law_check
-TABLES |= {"LEAST_RATIO"}  # of plane stress, in test_plane_stress
 # In their own tests: test_law_check, test_logarithmic_laws.
 OTHERS = {"materials.logarithmic", "materials.logarithms"}
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)

@@ -26,8 +26,6 @@ from ufl.core.expr import Expr
 
 # Dead band of yielding: round-off up to 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
-LEAST_RATIO = -0.9
-"""Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
 ACCUMULATED = "accumulated_plastic_strain"
 
 
@@ -111,25 +109,6 @@ class RadialReturn(CheckedLaw):
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
-def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
-    """Root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
-
-    Three steps of Halley's method reach round-off for p, q in [0, 1e6], .0175 <= r <= 1: with N^2
-    the left side, 1/N is concave.
-    """
-    first = ufl.sqrt(p**2 + q**2)
-    both, from_p = first - 1, (p - 1) / r
-    t = ufl.conditional(ufl.gt(from_p, both), from_p, both)
-    for _ in range(3):
-        shared = 1 / ((1 + r * t) * (1 + t))
-        u, v = (1 + t) * shared, (1 + r * t) * shared
-        a, b, ru = (p * u) ** 2, (q * v) ** 2, r * u
-        square, one, two = a + b, a * ru + b * v, a * ru**2 + b * v**2
-        excess = ufl.sqrt(square) - 1
-        t += excess * square * one / (one**2 - 1.5 * excess * (two * square - one**2))
-    return ufl.conditional(ufl.gt(both, YIELD_TOLERANCE), t, 0.0)
-
-
 @dataclass(frozen=True)
 class VonMises(RadialReturn):
     """Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
@@ -172,12 +151,6 @@ class VonMises(RadialReturn):
         """Plastic strain, k with isotropic hardening."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
-
-    @property
-    def normal_strain(self) -> Callable[..., Expr] | None:
-        """Closed form of z in plane stress, for a constant nu above -0.9."""
-        exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
-        return self._normal_strain if exact else None
 
     @classmethod
     def from_uniaxial(
@@ -224,24 +197,6 @@ class VonMises(RadialReturn):
     @staticmethod
     def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
         return H / 2 * k**2
-
-    @staticmethod
-    def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
-        ep, (k, H) = state[PLASTIC], _memory(state, p)
-        e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
-        S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]
-        D = 2 * mu * (e[0, 0] - e[1, 1]) - p.a * (ep[0, 0] - ep[1, 1])
-        T = 2 * mu * e[0, 1] - p.a * ep[0, 1]
-        radius = p.Y + H * k
-        rate_S, rate_D = bulk / 3 + p.a + H, 2 * mu + p.a + H
-        r = rate_S / rate_D
-        sum_part, other = abs(S) / (math.sqrt(6) * radius), ufl.sqrt(D**2 / 2 + 2 * T**2) / radius
-        t = flow_in_plane_stress(sum_part, other, r)
-        phi, fallen = t / rate_D, S / (1 + r * t)
-        plastic = ep[2, 2] - phi * fallen / 3
-        stress = (1 + H * phi) * fallen - 3 * p.a * plastic  # xx + yy
-        return plastic - p.nu / p.E * stress
 
 
 # Below it exp(3 y) is round-off, and three terms of the series of omega are exact.

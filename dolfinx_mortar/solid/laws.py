@@ -193,13 +193,13 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # one region per class, state, form at finite strain and plane stress; sorted by name so that
-    # the order of the dictionary does not change the forms
+    # one region per class, state and form at finite strain; sorted by name so that the order of the
+    # dictionary does not change the forms
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic
         names = tuple(named_parameters(material))  # tuples may differ in length
-        way = form, law.normal_strain is None, names
+        way = form, names
         alike.setdefault((type(material), way, *law.state), []).append(i)
     regions = []
     for kind in sorted(alike, key=lambda kind: (kind[0].__qualname__, kind[2:], kind[1])):

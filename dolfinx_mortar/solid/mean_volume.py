@@ -35,7 +35,6 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
-from dolfinx_mortar.solid.term import assemble, create_vector
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
@@ -47,7 +46,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
-) -> MeanDilatation | MeanVolume | None:
+) -> MeanVolume | None:
     """Volumetric part in the mean, None for "full"; a ValueError for other choices; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
@@ -76,76 +75,7 @@ def create_dilatation(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
-    if kinematics.finite:
-        return MeanVolume(u, integral)
-    return MeanDilatation(u, integral, eigenstrain)
-
-
-class MeanDilatation:
-    """The volumetric part at small strain, p = K t of each cell."""
-
-    def __init__(
-        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
-    ) -> None:
-        """Assemble B and V; collective."""
-        V = u.function_space
-        Q = fem.functionspace(V.mesh, ("DG", 0))
-        self.mean_stress = fem.Function(Q, name="mean_stress")
-        self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
-        trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
-        size, dx = integral.weight * test, measure(V.mesh, integral.degree)
-        modulus = integral(bulk_modulus_of(r) * test for r in integral.regions)
-        B, volumes, self._modulus = fem.form([trace * size * dx, size * dx, modulus])
-        self._B = RowsOfCells(B, 1)
-        self._B.assemble()
-        self._volumes = assemble(volumes, self._vector).copy()
-        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
-        self._free = None if free is None else fem.form(free)
-        self._bulk = np.zeros_like(self._volumes)
-        self._tangent: tuple[Floats, PETSc.Mat] | None = None
-
-    def complete(self, region: Region, response: Response) -> Response:
-        """Response to a deviator, with p."""
-        return dataclasses.replace(
-            response,
-            stress=response.stress + self.mean_stress * ufl.Identity(3),
-            change=lambda direction: response.change(ufl.dev(direction)),
-        )
-
-    def follow(self) -> None:
-        """Update to displacement and parameters; collective."""
-        self._bulk = assemble(self._modulus, self._vector) / self._volumes
-        change = self._B.times(self._u)[:, 0]
-        if self._free is not None:
-            change -= assemble(self._free, self._vector)
-        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
-        self.mean_stress.x.scatter_forward()
-
-    def energy(self, along: Any = None) -> float:
-        """sum_c K/2 V t^2 of owned cells."""
-        return float((self.densities() * self._volumes).sum())
-
-    def densities(self) -> Floats:
-        """K/2 t^2 of owned cells."""
-        p = self.mean_stress.x.array[: len(self._bulk)]
-        return np.asarray(p**2 / (2 * self._bulk))
-
-    def norm_squared(self, v: fem.Function) -> float:
-        """sum_c K / V (B v)^2 of owned cells."""
-        return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
-
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add B^T (K / V) B, formed once; collective."""
-        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
-        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
-            self._tangent = None  # free the memory first
-            product = K.duplicate(copy=False)
-            product.zeroEntries()
-            product.assemble()
-            self._B.add_square((self._bulk / self._volumes)[:, None, None], product)
-            self._tangent = self._bulk, product
-        assert self._tangent is not None
-        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    return MeanVolume(u, integral, eigenstrain)
 
 
 def bulk_modulus_of(region: Region) -> Expr:
@@ -181,31 +111,36 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The volumetric part at finite strain, by the mean of J over each cell.
+    """The volumetric part, by the mean of j over each cell: tr eps, at finite strain J.
 
     Attributes:
-        cells: the functions onto which J and U'(j) are projected.
+        cells: the functions onto which j and U'(j) are projected.
         mean_stress: coefficients of p, as of `follow`.
     """
 
-    def __init__(self, u: fem.Function, integral: Integral) -> None:
+    def __init__(
+        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+    ) -> None:
         """Compile; collective."""
-        V, regions = u.function_space, integral.regions
+        V, regions, self._finite = u.function_space, integral.regions, integral.kinematics.finite
         dx = measure(V.mesh, integral.degree)
-        affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
+        second = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
+        affine = self._finite and second
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
-        self._ratio.x.array[:: cells.size] = 1.0
-        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J, for derivatives
+        self._ratio.x.array[:: cells.size] = 1.0 * self._finite
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # j, for derivatives
         self._gradient = integral.kinematics.measure(u)
-        J = ufl.det(self._gradient)
-        change = ufl.derivative(J, u, ufl.TrialFunction(V))
+        if eigenstrain is not None:
+            self._gradient -= eigenstrain.tensor
+        of_point = ufl.det(self._gradient) if self._finite else ufl.tr(self._gradient)
+        change = ufl.derivative(of_point, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
         B, self._volume_form, self._bulk_form, *self._energy_forms = fem.form(
             [
                 cells.tested(change) * integral.weight * dx,
-                cells.tested(J) * integral.weight * dx,
+                cells.tested(of_point) * integral.weight * dx,
                 integral(cells.paired(bulk_modulus_of(r)) for r in regions),
                 integral(map(cells.tested, energy)),
                 integral(map(cells.tested, slope)),
@@ -213,17 +148,28 @@ class MeanVolume:
             ]
         )
         self._B = RowsOfCells(B, cells.size)
+        self._B.assemble()
+        self._tangent: tuple[Floats, PETSc.Mat] | None = None  # of small strain, and its weights
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
         at = Variable(self._at, Label(-4))
-        value = volumetric_energy(region, at)
+        value = self._energy_of(region, at)
         for _ in range(order):
             value = ufl.diff(value, at)
         return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Response with p in place of U'(J), and without U(J) in the energy."""
+        """Response with p in place of U'(J), and without U(J) in the energy.
+
+        At small strain that of the deviator, which has neither.
+        """
         F, p = self._gradient, self.cells.field(self.mean_stress)
+        if not self._finite:
+            return dataclasses.replace(
+                response,
+                stress=response.stress + p * ufl.Identity(3),
+                change=lambda direction: response.change(ufl.dev(direction)),
+            )
 
         def stress(gradient: Expr) -> Expr:
             J = ufl.det(gradient)
@@ -235,7 +181,7 @@ class MeanVolume:
             return response.change(direction) + without_variables(expand_derivatives(slope))
 
         energy = response.energy
-        energy = None if energy is None else energy - volumetric_energy(region, ufl.det(F))
+        energy = None if energy is None else energy - self._energy_of(region, ufl.det(F))
         total = response.stress + stress(F)
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
@@ -266,34 +212,50 @@ class MeanVolume:
     def step_along(self, v: fem.Function) -> VolumeStep:
         """Volumes and pressures along a step v from the present u; collective."""
         self.follow()
-        self._B.assemble()
         cells = self.cells
         return VolumeStep(
             ratio=cells.values(self._ratio).copy(),
-            change=cells.coefficients(self._B.times(v)),
+            change=cells.coefficients(self._change(v)),
             energy=self._energies(),
             slope=cells.vectors(self._energy_forms[1]),
             stiffness=cells.matrices(self._energy_forms[2]),
             inverse=cells.inverse,
         )
 
+    def _change(self, v: fem.Function) -> Floats:
+        """Return B v (owned cells, m); collective."""
+        if self._finite:
+            self._B.assemble()
+        return self._B.times(v)
+
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c int K (B v / V)^2 over the owned cells, K at small strain."""
-        self._B.assemble()
-        change = self.cells.coefficients(self._B.times(v))
+        change = self.cells.coefficients(self._change(v))
         bulk = self.cells.matrices(self._bulk_form)
         return float(np.einsum("ck,ckl,cl->", change, bulk, change))
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (U''(j) / V) B to a matrix with the pattern of the mesh; collective."""
-        self._B.assemble()
         inverse, stiffness = self.cells.inverse, self.cells.matrices(self._energy_forms[2])
-        self._B.add_square(inverse @ stiffness @ inverse, K)
+        weights = inverse @ stiffness @ inverse
+        if self._finite:
+            self._B.assemble()
+            self._B.add_square(weights, K)
+            return
+        same = self._tangent is not None and np.array_equal(self._tangent[0], weights)
+        if any_rank(self._ratio.function_space.mesh.comm, not same)[0]:
+            self._tangent = None  # free the memory first
+            product = K.duplicate(copy=False)
+            product.zeroEntries()
+            product.assemble()
+            self._B.add_square(weights, product)
+            self._tangent = weights, product
+        assert self._tangent is not None
+        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
-
-def volumetric_energy(region: Region, J: Expr) -> Expr:
-    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits."""
-    if region.law.strain == "finite":
-        assert region.law.volumetric is not None
-        return region.law.volumetric(J, region.symbols)
-    return bulk_modulus_of(region) / 2 * ufl.ln(J) ** 2
+    def _energy_of(self, region: Region, j: Expr) -> Expr:
+        """U(j) of a law of F; of a law that splits K/2 (ln j)^2, at small strain K/2 j^2."""
+        if region.law.strain == "finite":
+            assert region.law.volumetric is not None
+            return region.law.volumetric(j, region.symbols)
+        return bulk_modulus_of(region) / 2 * (ufl.ln(j) if self._finite else j) ** 2
