@@ -9,12 +9,11 @@ import pytest
 import basix.ufl
 import dolfinx
 from dolfinx_mortar.geometry.elements import QUAD4
-from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, distortions
 from dolfinx_mortar.mortar.surface import (
     _check_shapes,
     coordinates,
     create_surface,
-    facets_at,
     nodal_normals,
 )
 from tests.cases.meshes import two_blocks
@@ -25,28 +24,6 @@ from tests.cases.pressed_blocks import rejected
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 pytestmark = pytest.mark.mpi
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("partition", PARTITIONS)
-def test_facets_point_outwards_and_occur_once(cell, partition):
-    """The length of each side, and the flux of x through all sides: twice the area."""
-    angle = 0.4
-    mesh, _, tags = two_blocks(COMM, (7, 2), (5, 2), cell=cell, angle=angle, partition=partition)
-    V = space(mesh)
-    flux = 0.0
-    for tag, length, count in ((1, 1, 7), (2, 1, 5), (3, 1, 7), (4, 1, 5), (5, 2, 4), (6, 2, 4)):
-        surface = create_surface(V, tags, tag, "slave")
-        x = coordinates(surface, None)[surface.facets]
-        size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-        normals = facet_normals(facets_at(surface, surface.X))
-        assert COMM.allreduce(len(surface.facets)) == count
-        assert COMM.allreduce(size.sum()) == pytest.approx(length, abs=1e-13)
-        flux += COMM.allreduce((size * (normals * x.mean(axis=1)).sum(axis=1)).sum())
-        if tag == 3:
-            expected = np.array([-np.sin(angle), np.cos(angle)])
-            assert np.abs(normals - expected).max(initial=0) < 1e-13
-    assert flux == pytest.approx(4.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("partition", PARTITIONS)
