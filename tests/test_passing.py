@@ -49,18 +49,6 @@ def test_which_points_pass(d, carried):
     assert find_passing((start[3:4], start[3:4]), (x, x + 4 * up)).tolist() == [0]
 
 
-def test_many_facets_and_no_facet():
-    """A grid of points through a plane of lines: each passes, also where two lines meet."""
-    x = np.linspace(0.0, 1.0, 11)
-    ends = np.stack([x[1:], x[:-1]], axis=1)
-    lines = np.stack([ends, np.zeros_like(ends)], axis=2)
-    points = np.stack([np.linspace(0.0, 1.0, 21), np.full(21, 0.5)], axis=1)
-    through = points - [0.0, 30.0]
-    assert find_passing((points, through), (lines, lines)).tolist() == list(range(21))
-    for none in ((points[:0], lines), (points, lines[:0])):
-        assert find_passing((none[0], none[0]), (none[1], none[1])).tolist() == []
-
-
 # -- steps -----------------------------------------------------------------------------------------
 
 

@@ -224,18 +224,6 @@ def test_the_feature_angle_tells_edges_from_curves(case):
     assert c == pytest.approx(np.full(c.shape, 0.0 if sharp else side**2), abs=1e-13)
 
 
-@pytest.mark.parametrize("components", [(0,), (1,), (0, 1)])
-def test_only_what_may_be_a_symmetry_completes_the_normal(components):
-    """The ends of an arc at 90 degrees: x is prescribed on the plane x = 0, y on no symmetry."""
-    surface = polygon(24, ends=(0.0, 90.0))
-    fixed = np.zeros(surface.X.shape, dtype=bool)
-    fixed[np.abs(surface.X[:, 0]) < 1e-9] = np.isin([0, 1], components)
-    found = smooth_normals(surface, surface.X, fixed, 40.0)
-    top = int(np.argmax(surface.X[:, 1]))
-    assert found.open[top] == (components != (0,))
-    assert found.n[~found.open] == pytest.approx(surface.X[~found.open], abs=1e-12)
-
-
 # -- where there is no normal ----------------------------------------------------------------------
 
 
