@@ -35,7 +35,7 @@ AT_NIGHT = """
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
     resolution rubber skins small_strain smooth_3d smooth_contact smooth_tie solid
-    stack stand_off sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
+    stack sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
     user_laws volumetric
 """.split()
 QUICK = "mpi and not slow and not serial"
