@@ -30,7 +30,7 @@ SLOW_ON_THREE = """
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
     checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
-    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads folds
+    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads
     impact jump jump_errors kinematics linear linearisation loads looks_change_nothing margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
