@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing.two_bodies import distribute
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, _block
 from tests.cases.meshes_3d import rotation
 from tests.cases.pressed_blocks import COMM, failing, rejected
 from tests.cases.solid import rectangle, tag_facets
@@ -213,12 +213,10 @@ def test_a_tie_that_ends_in_a_contact():
     assert not any("masters" in note for note in notes)
 
 
-def beam(x0, y0, n=40, m=3):
+def beam(x, y):
     """Return nodes and quadrilaterals of a cantilever 2032 long and 63.5 thick."""
-    x, y = np.linspace(x0, x0 + 2032.0, n + 1), np.linspace(y0 - 31.75, y0 + 31.75, m + 1)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m)))
-    points = np.stack([np.tile(x, m + 1), np.repeat(y, n + 1)], axis=1)
-    return points, (j * (n + 1) + i)[:, None] + np.array([0, 1, n + 1, n + 2])
+    lines, rows = np.linspace(0.0, 2032.0, 41), np.linspace(-31.75, 31.75, 4)
+    return _block(x + lines, y + rows, "quadrilateral")
 
 
 @pytest.mark.slow

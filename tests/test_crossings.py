@@ -12,8 +12,8 @@ from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
 from dolfinx_mortar.geometry.flat import near_pairs
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from tests.cases.block_piles import ABOVE, BELOW, Blocks
-from tests.cases.box_piles import THREE, create_boxes
-from tests.cases.meshes import skins
+from tests.cases.meshes import create_distributed, skins
+from tests.cases.meshes_3d import box_cells, box_points
 from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -123,15 +123,34 @@ def test_beside_a_contact(cell):
         assert (find_crossing(problem).share > 0.1) is crosses
 
 
+# A base, and two boxes on it, side by side: all three meet in an edge.
+THREE = (
+    ((0.0, 0.0, -1.0), (2.0, 1.0, 0.0)),
+    ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+    ((1.0, 0.0, 0.0), (2.0, 1.0, 1.0)),
+)
+
+
+def create_boxes(boxes):
+    """Create boxes, each of its lowest and highest corner and cells in three directions."""
+    points, cells, first = [], [], 0
+    for low, high, n in boxes:
+        lines = [np.linspace(a, b, m + 1) for a, b, m in zip(low, high, n, strict=True)]
+        points.append(box_points(lines, 0.0, 0))
+        cells.append(first + box_cells(n, "hexahedron"))
+        first += len(points[-1])
+    return create_distributed(COMM, np.concatenate(points), np.concatenate(cells), "hexahedron")
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "cells", [((1, 1, 1), (1, 1, 1), (1, 1, 1)), ((5, 2, 2), (2, 2, 2), (3, 2, 2))]
 )
 def test_edges_that_touch_a_flank_do_not_cross_it(cells):
     """Three boxes around an edge, strained alike up to 1e-9, as a solver leaves them."""
-    mesh, tags = create_boxes(COMM, [(*box, n) for box, n in zip(THREE, cells, strict=True)])
+    mesh = create_boxes([(*box, n) for box, n in zip(THREE, cells, strict=True)])
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    contacts = dm.find_pairs(mesh, tags, show=False).contacts
+    contacts = dm.find_pairs(mesh, show=False).contacts
     problem = create_problem(V, contacts)
     strain = np.array([[-0.01], [0.003], [-0.01]])
     turn = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])
