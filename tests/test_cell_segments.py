@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import basix.ufl
+import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
@@ -319,8 +320,15 @@ def given(**changes):
 @pytest.mark.mpi
 @pytest.mark.parametrize("call", CALLS)
 def test_spaces_and_displacements_that_do_not_fit(call):
-    arguments = given()
-    mesh, other = arguments["V"].mesh, blocks("triangle")[0]
+    arguments, (other, _, others) = given(), blocks("triangle")
+    mesh, none = arguments["V"].mesh, np.zeros(0, dtype=np.int32)
+    cells = dolfinx.mesh.meshtags(mesh, 2, none, none)
+    mesh.topology.create_entities(1)
+    every = np.arange(mesh.topology.index_map(1).size_local, dtype=np.int32)
+    inside = dolfinx.mesh.meshtags(mesh, 1, every, np.full(len(every), TOP_OF_LOWER, np.int32))
+    prisms = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
+    lost, _, of_lost = blocks("triangle")
+    lost.geometry.x[:, 0] = np.nan
     for changed, *words in (
         ({"V": fem.functionspace(mesh, ("DG", 1))}, "V has", "scalar or vector Lagrange"),
         ({"V": scalars(mesh, 3)}, "V has", "degree 3", "degree 1 or 2"),
@@ -329,7 +337,14 @@ def test_spaces_and_displacements_that_do_not_fit(call):
         ({"u": fem.Function(space(other, 1))}, "u has to be a Function of V", "mesh of V"),
         ({"u": fem.Function(scalars(mesh, 1))}, "u has the element", "vector Lagrange"),
         ({"u": np.zeros(3)}, "u has to be a Function of V", "array"),
-        ({"slave": 9}, "slave=9 marks no facet", "has the values"),
+        ({"V": scalars(prisms, 1), "facet_tags": inside}, "prism in 3D are not supported"),
+        ({"V": scalars(lost, 1), "facet_tags": of_lost}, "not finite"),
+        ({"facet_tags": others}, "slave=3", "another mesh"),
+        ({"facet_tags": cells}, "of dimension 2"),
+        ({"facet_tags": inside}, "slave=3", "inside the mesh"),
+        ({"slave": 9}, "slave=9 marks no facet", "has the values [1, 2, 3, 4, 5, 6]"),
+        ({"slave": 2**31}, "slave is 2147483648: "),
+        ({"slave": True}, "slave is True: "),
         ({"master": "lid"}, "master is 'lid'", "no names"),
         ({"master": TOP_OF_LOWER}, "slave=3 and master=3 share", "a tag of its own"),
         ({"master": TOP}, "slave=3 and master=2 can never meet", "check the tags"),

@@ -4,6 +4,7 @@
 import time
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_sums_of_triplets():
     """Of entries of all ranks, repeated, some zero; also where PETSc plans the exchange anew."""
     layout, rng = dealt_out().V.dofmap.index_map, np.random.default_rng(COMM.rank)
     n = layout.size_global
-    rows, columns = rng.integers(0, n, (2, 400)) // 4
+    rows, columns = (rng.integers(0, n, (2, 400)) // 4).astype(PETSc.IntType)
     given, values = (rows.copy(), columns.copy()), rng.normal(size=400)
     values[columns < 3] = 0.0
     triplets = Triplets(COMM, layout, rows, columns)

@@ -108,6 +108,7 @@ def test_the_curvature_tells_mirrors_from_other_supports(name, cell, degree):
     fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
     assert MPI.COMM_WORLD.allreduce(int(fixed[: surface.owned].sum())) == 8 * degree + 1
     assert np.array_equal(judge_supports(surface, fixed, 40.0)[0], fixed & mirror)
+    assert not judge_supports(surface, fixed[:, :1].repeat(3, axis=1), 40.0)[0].any()
 
 
 def press_sphere(cell, degree, slave, *, half):
