@@ -77,14 +77,15 @@ def bent(x):
 # -- points
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("motion", "sides"), [(False, SIDES), (True, SWAPPED)], ids=["lower", "upper, moved"]
+    ("motion", "sides", "partition"), [(False, SIDES, "empty"), (True, SWAPPED, "bodies")]
 )
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", CELLS)
-def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides):
+def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides, partition):
     """Values, gradients, area, normal and gap, also after a rotation with a stretch."""
-    mesh, _, tags = blocks(cell, x_upper=(0.3, 1.2), gap=0.1, partition="stripes")
+    mesh, _, tags = blocks(cell, x_upper=(0.3, 1.2), gap=0.1, partition=partition)
     d = mesh.geometry.dim
     F, V = np.eye(d), scalars(mesh, degree)
     if motion:
@@ -146,24 +147,6 @@ def test_dofs_and_cells_are_those_of_the_mesh():
         assert xi.shape == s.x.shape and (xi > -EXACT).all() and (xi < 1 + EXACT).all()
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies", "empty"])
-def test_the_same_integrals_on_any_number_of_ranks(partition):
-    assert integrals(COMM, partition) == pytest.approx(integrals(MPI.COMM_SELF, "graph"), rel=1e-12)
-
-
-def integrals(comm, partition):
-    """Return integrals of values, gradients and gaps of both sides, after a motion."""
-    mesh, _, tags = blocks("tetrahedron", comm, (0.2, 1.3), gap=0.02, partition=partition)
-    V, u = scalars(mesh, 2), moved(space(mesh, 1), bent)
-    s = dm.segments(V, tags, **SIDES, u=u)
-    (T_s, g_s), (T_m, g_m) = on_both(s, np.sin(3 * positions(V) @ [1.0, 0.5, 2.0]))
-    along = [(g * s.normal).sum(axis=1) for g in (g_s, g_m)]
-    ones = np.ones_like(s.gap)
-    parts = [ones, s.gap, (T_s - T_m) ** 2, T_s * T_m, along[0] * along[1], along[1] * s.x[:, 0]]
-    return comm.allreduce(np.stack(parts) @ s.weight)
-
-
 # -- D and M
 
 
@@ -205,7 +188,7 @@ def test_D_and_M_are_sums_over_the_points(cell, degree):
     "options", [{}, {"feature_angle": 40.0}, {"weight": lambda x: 1 + x[:, 0]}]
 )
 @pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
-def test_those_of_scalars_are_blocks_of_those_of_space(cell, degree, options):
+def test_those_of_scalars_are_blocks_of_those_of_vectors(cell, degree, options):
     mesh, cells, tags = blocks(cell, x_upper=(0.3, 1.2), partition="stripes")
     if "feature_angle" in options:
         tags = meshes.skins(mesh, cells, tags)

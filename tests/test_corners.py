@@ -9,7 +9,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing.two_bodies import distribute
-from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, _block
 from tests.cases.meshes_3d import rotation
 from tests.cases.pressed_blocks import COMM, failing, rejected
@@ -184,16 +184,16 @@ def test_edges_and_corners_on_a_plate_in_space(axis, swap):
 def pressed(split, floor_is_slave):
     """Drag a block, perhaps of two halves that are tied, over a floor; return contact and notes."""
     upper = [(0, 1, 0, 1, 4, 4), (1, 2, 0, 1, 4, 4)] if split else [(0, 2, 0, 1, 8, 4)]
-    domain, _, facets = create_blocks(COMM, [(-1, 3, -1, 0, 16, 4), *upper], cell="quadrilateral")
+    b = Blocks([(-1, 3, -1, 0, 16, 4), *upper], cell="quadrilateral")
     same = {30 + BELOW: 20 + BELOW, 30 + ABOVE: 20 + ABOVE}  # sides of the right half
-    values = np.array([same.get(v, v) for v in facets.values], dtype=np.int32)
-    tags = mesh.meshtags(domain, 1, facets.indices, values)
-    V, push = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, np.zeros(2))
-    bcs = [held(V, tags, 10 + BELOW), held(V, tags, 20 + ABOVE, push)]
+    values = np.array([same.get(v, v) for v in b.facets.values], dtype=np.int32)
+    b.facets = mesh.meshtags(b.mesh, 1, b.facets.indices, values)
+    push = fem.Constant(b.mesh, np.zeros(2))
+    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, value=push)]
     slave, master = (10 + ABOVE, 20 + BELOW)[:: 1 if floor_is_slave else -1]
-    contact = dm.Contact(tags, slave=slave, master=master, friction=0.3)
-    ties = [dm.Tie(tags, slave=20 + EAST, master=30 + WEST)] if split else []
-    problem = create_problem(V, [*ties, contact], bcs, ELASTIC)
+    contact = dm.Contact(b.facets, slave=slave, master=master, friction=0.3)
+    ties = [b.join(dm.Tie, (2, EAST), (3, WEST))] if split else []
+    problem = b.problem([*ties, contact], bcs, ELASTIC)
     ramp = {push: [(0.0, (0.0, 0.0)), (1.0, (0.0, -0.02)), (2.0, (0.02, -0.02))]}
     notes = []
     for step in dm.load_steps(problem, [1.0, 2.0], ramp=ramp, rtol=1e-9, progress=False):

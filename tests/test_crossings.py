@@ -16,8 +16,7 @@ from dolfinx_mortar.geometry.elements import QUAD4
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from tests.cases.block_piles import ABOVE, BELOW, Blocks
-from tests.cases.meshes import create_distributed, skins
-from tests.cases.meshes_3d import box_cells, box_points
+from tests.cases.meshes import box_cells, box_points, create_distributed, skins
 from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -170,7 +169,7 @@ def create_boxes(boxes):
     points, cells, first = [], [], 0
     for low, high, n in boxes:
         lines = [np.linspace(a, b, m + 1) for a, b, m in zip(low, high, n, strict=True)]
-        points.append(box_points(lines, 0.0, 0))
+        points.append(box_points(lines))
         cells.append(first + box_cells(n, "hexahedron"))
         first += len(points[-1])
     return create_distributed(COMM, np.concatenate(points), np.concatenate(cells), "hexahedron")

@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
+    common_sagittas,
     curvatures,
     curved_sagittas,
     edge_sagittas,
@@ -139,6 +140,17 @@ def test_curvatures_are_those_of_the_surface(element, rng):
         found = size * curvatures(facets, c)
         assert found == pytest.approx(np.broadcast_to(H, found.shape), abs=5e-3)
         assert np.linalg.eigvalsh(found)[:, 0].max() < 1e-3  # tangential
+
+
+@pytest.mark.parametrize("element", [LINE2, TRI3, QUAD4])
+def test_the_common_surface_lies_between_its_sides(element, rng):
+    """Of a surface and its counterpart it is that one, of a ball on a plane half the ball."""
+    facets = Facets(element, scattered(element, rng, 0.1))
+    c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+    K = curvatures(facets, c)
+    assert common_sagittas(facets, c, -K) == pytest.approx(c, rel=1e-10)
+    assert common_sagittas(facets, c, 0.0 * K) == pytest.approx(c / 2, rel=1e-10)
+    assert common_sagittas(facets, c, K) == pytest.approx(0.0 * c, abs=1e-10 * c.max())
 
 
 @pytest.mark.parametrize("element", [TRI3, QUAD4])

@@ -46,9 +46,6 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
             monkeypatch.setattr(smooth, "PROJECTIONS", count)
             found = smooth.smooth_normals(surface, surface.X, fixed, 40.0)
             monkeypatch.undo()
-            rim = fixed[:, 0] & found.open  # where it meets the plane of symmetry, within that
-            assert np.abs(found.n[rim, 0]).max(initial=0.0) == 0.0
-            assert MPI.COMM_WORLD.allreduce(rim.sum()) == 2
             square = ((found.n - exact)[found.regular] ** 2).sum()
             regular = MPI.COMM_WORLD.allreduce(found.regular.sum())
             error[h, count] = np.sqrt(MPI.COMM_WORLD.allreduce(square) / regular)

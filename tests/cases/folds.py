@@ -11,8 +11,7 @@ import numpy as np
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.meshes import _block, create_distributed
-from tests.cases.meshes_3d import box_cells, box_points
+from tests.cases.meshes import box_cells, box_points, create_distributed
 from tests.cases.two_bodies import create_problem
 
 SKIN = 1
@@ -30,10 +29,7 @@ def create_sheet(
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """Return a bent sheet, and its facet tags, all with SKIN."""
     d, lines = len(cells), [np.linspace(0.0, 1.0, n + 1) for n in cells]
-    if d == 2:
-        s, e = _block(*lines, "quadrilateral")
-    else:
-        s, e = box_points(lines, 0.0, 0), box_cells(cells, "hexahedron")
+    s, e = box_points(lines), box_cells(cells, cell)
     if closed:
         s[:, 0] %= 1.0
         s, number = np.unique(s, axis=0, return_inverse=True)
