@@ -39,7 +39,7 @@ NUMBERS = {
     "steps.line_search": ("ARMIJO",),
     "problem.contacts": ("FORCING", "DIGIT"),
 }
-# judged below, in test_smooth_contact, test_stand_off, test_resolution, in
+# judged below, in test_smooth_contact, test_resolution, in
 # test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
@@ -49,7 +49,7 @@ OTHERS = {
     "steps.driven_tools",  # in test_driven_tools
     "interfaces.interface",
     "interfaces.tie",
-    "audit.audit",  # in test_stand_off
+    "audit.audit",  # in test_smooth_contact
     "report.notes",
     "report.penetration",
     "interfaces.pretension",

@@ -30,12 +30,12 @@ SLOW_ON_THREE = """
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
     checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
-    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads folds
+    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads
     impact jump jump_errors kinematics linear linearisation loads looks_change_nothing margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
     resolution rubber skins small_strain smooth_3d smooth_contact smooth_tie solid
-    stack stand_off sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
+    stack sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
     user_laws volumetric
 """.split()
 QUICK = "mpi and not slow and not serial"

@@ -11,9 +11,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh
-from tests.cases.meshes import BOTTOM, LEFT, TOP, _block
+from tests.cases.meshes import BOTTOM, LEFT, TOP, _block, _tag
 from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
-from tests.test_stack import BESIDE, P, at, beside, press, tag_facets
+from tests.test_stack import BESIDE, P, press, press_beside
 
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "multiplier")
 
@@ -96,9 +96,7 @@ def test_nodal_values_of_a_tie():
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_a_node_on_two_slave_sides_counts_once(kind):
     """Under a uniform pressure the merged field is that pressure at all slave nodes."""
-    mesh, tags = beside(np.linspace(0, 1, 5), np.linspace(1, 2, 4))
-    sides = BESIDE["slave twice"]
-    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=s, master=m) for s, m in sides])
+    problem = press_beside(kind, BESIDE["slave twice"], (13, 1.0))
     fields = problem.output_fields()
     slave = np.logical_or(*(side.on_slave for side in problem.system.sides))
     for name, expected in (("pressure", P), ("status", 1.0), ("gap", 0.0)):
@@ -121,14 +119,15 @@ def cracked():
     number[len(lower[0]) + joined] = len(lower[0]) - len(joined) + np.arange(len(joined))
     kept, number = np.unique(number, return_inverse=True)
     cells = number[np.concatenate([lower[1], upper[1] + len(lower[0])])]
+    x, y = points[kept].T
+    marks = [(1, y == -1.0), (2, y == 1.0), (5, x == 0.0)]
+    below, lips = kept < len(lower[0]), (y == 0.0) & (x <= TIP)
+    marks += [(20, lips & below), (11, lips & (~below | (x == TIP)))]
     if COMM.rank > 0:  # the first rank has all, dolfinx distributes
         cells, kept = cells[:0], kept[:0]
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
     mesh = create_mesh(COMM, cells, x=points[kept], e=element)
-    block = (mesh.topology.original_cell_index >= len(lower[1])).astype(int)
-    marks = {1: (None, at(-1.0)), 2: (None, at(1.0)), 5: (None, lambda x: np.isclose(x[0], 0))}
-    marks |= {20: (0, at(0.0, 0, TIP)), 11: (1, at(0.0, 0, TIP))}
-    return mesh, tag_facets(mesh, block, marks)
+    return mesh, _tag(mesh, 1, [(tag, lambda i, on=on: on[i]) for tag, on in marks])
 
 
 @pytest.mark.mpi
@@ -137,7 +136,7 @@ def cracked():
 def test_forces_on_the_faces_of_a_crack(sides, kind):
     """The tip is on both faces and gets a force on each; the whole of a face has P times TIP."""
     mesh, tags = cracked()
-    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=sides[0], master=sides[1])])
+    problem = press(mesh, tags, lambda t: [kind(t, slave=sides[0], master=sides[1])], (2,), (5,), 1)
     (interface,) = problem.interfaces
     (side,) = problem.system.sides
     assert COMM.allreduce(int((side.on_slave & side.on_master)[: side.n_owned].sum())) == 1

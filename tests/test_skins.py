@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.geometry.elements import LINE2, QUAD4
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
-from dolfinx_mortar.geometry.segments import create_segments
+from dolfinx_mortar.geometry.facets import facet_normals, points_of
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
@@ -77,23 +75,6 @@ def test_partners_face_each_other_from_outside(cell, gap):
         assert COMM.allreduce(points.weight[across].sum()) == pytest.approx(1.0, abs=fan)
         # flanks that overlap look through both bodies, one thickness deep
         assert not (~across).any()
-
-
-def test_what_lies_across_a_body_hides_nothing():
-    """The nearer of two partners lies behind the slave: too deep, it leaves all to the other."""
-    line = np.array([[1.0, 0.0], [0.0, 0.0]])
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    for element, x in ((LINE2, line), (QUAD4, square)):
-        up = np.eye(x.shape[1])[-1]
-        slave = Facets(element, x[None])
-        master = Facets(element, np.stack([x[::-1] - 0.3 * up, x[::-1] + 0.5 * up]))
-        n_s = np.broadcast_to(up, slave.x.shape)
-        pairs = np.array([[0, 0], [0, 1]], dtype=np.int32)
-        for deepest, expected in ((np.inf, 0), (0.31, 0), (0.29, 1)):
-            limits = np.array([deepest, np.inf])
-            points = create_segments(slave, n_s, master, pairs, limits)
-            assert (points.master == expected).all()
-            assert points.weight.sum() == pytest.approx(1.0, abs=1e-14)
 
 
 @pytest.mark.mpi

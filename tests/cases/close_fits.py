@@ -11,9 +11,17 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
+from tests.cases.rings import shrink_fit_pressure
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
+
+
+def ring_cells(n, layers):
+    """Return quadrilaterals between layers + 1 closed lines of n nodes."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
+    k = (j + 1) % n
+    return np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
 
 
 def create_ring(inner, outer, angles, layers=2, order=1):
@@ -29,10 +37,7 @@ def create_ring(inner, outer, angles, layers=2, order=1):
         out, along = np.array([[0, 2, 0, 2, 1, 0, 2, 1, 1], [0, 0, 2, 2, 0, 1, 1, 2, 1]])
         cells = (i[:, None] + out) * n + (j[:, None] + along) % n
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
-    k = (j + 1) % n
-    cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), ring_cells(n, layers)
 
 
 def rings(comm, inner, outer, counts, layers, order=1):
@@ -69,15 +74,6 @@ def hold(V, radius):
         )
         bcs.append(fem.dirichletbc(fem.Function(W.collapse()[0]), dofs, W))
     return bcs
-
-
-def lame_pressure(a, b, c, overlap, inner, outer):
-    """Return the pressure between two rings a to b and b to c, in plane strain (Lame)."""
-    give = 0.0
-    for (E, nu), sign, r in ((inner, -1, a), (outer, 1, c)):
-        ratio = (b**2 + r**2) / abs(b**2 - r**2)
-        give += b * (1 - nu**2) / E * (ratio + sign * nu / (1 - nu))
-    return overlap / give
 
 
 @dataclass
@@ -161,4 +157,5 @@ def create_shrink_fit(
     problem = create_problem(V, [contact], bcs, laws, cells, loads=loads, geometry=geometry)
     E, nu = STEELS[0]
     widened = overlap + 2 * (1 - nu**2) * pressure * a**2 * b / (E * (b**2 - a**2))
-    return ShrinkFit(problem, contact, lame_pressure(a, b, c, widened, *STEELS))
+    lame = shrink_fit_pressure(E, nu, (a, b, c), widened, STEELS[1])
+    return ShrinkFit(problem, contact, lame)

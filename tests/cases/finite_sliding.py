@@ -16,6 +16,7 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar import common_normals
 from tests.cases.close_fits import create_ring, nested
+from tests.cases.meshes import _block
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -32,10 +33,8 @@ def averaged(pairing, segments, M, u, *options):
 
 def grid(nx, ny, place):
     """Return nodes and quadrilaterals of the unit square, mapped by place(s, t)."""
-    t, s = np.meshgrid(np.linspace(0, 1, ny + 1), np.linspace(0, 1, nx + 1), indexing="ij")
-    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
-    cells = first[:, None] + np.array([0, 1, nx + 1, nx + 2])
-    return np.stack([a.ravel() for a in place(s, t)], axis=1), cells.astype(np.int64)
+    x, cells = _block(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), "quadrilateral")
+    return np.stack(place(*x.T), axis=1), cells.astype(np.int64)
 
 
 def half_ring(nt, nr, outer, inner, centre):
