@@ -163,20 +163,6 @@ def test_a_checkpoint_holds_the_motion(folder, options):
     assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 
-def test_a_restored_motion_goes_on(folder):
-    """With all times those are left out that have been made; the numbers of steps go on."""
-    times, file = 0.01 * np.arange(1, 5), folder / "half.h5"
-    case, rest = (Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)}) for _ in range(2))
-    walk(case.problem, times[:2])
-    case.problem.save(file)
-    rest.problem.restore(file)
-    steps = list(dm.time_steps(rest.problem, times, progress=False, checkpoint=file))
-    assert [(step.number, step.time) for step in steps] == [(3, times[2]), (4, times[3])]
-    assert not list(dm.time_steps(rest.problem, times, progress=False, checkpoint=file))
-    with rejected("times", "0.02 after 0.04"):
-        next(dm.time_steps(rest.problem, [0.02, 0.05]))
-
-
 def test_a_checkpoint_knows_the_mass_and_the_scheme(folder):
     """What would change the answer in silence is refused, with both."""
     times, moving = [0.01, 0.02], {"velocity": {UPPER: (0.0, -1.0)}}

@@ -127,30 +127,6 @@ def agree(found, expected):
         assert np.abs(found[name] - values).max() <= SAME * scale, name
 
 
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize(
-    ("cell", "geometry"), [("triangle", "reference"), ("hexahedron", "updated")]
-)
-def test_slips_come_back(folder, cell, geometry, known):
-    """On another partition; the next step counts from the committed displacement."""
-    options = {"friction": MU, "geometry": geometry}
-    case, fresh = (
-        create(cell, mesh_options={"partition": kind}, **options) for kind in ("graph", "stripes")
-    )
-    follow(case, PATH[:3])
-    assert (numbers(case)["status"] == 2.0).any() and case.contact.dissipation > 0.0
-    committed = case.problem.committed
-    kept, committed.sliding = committed.sliding, committed.sliding if known else None
-    case.problem.save(folder / "slips.h5")
-    committed.sliding = kept
-    fresh.problem.restore(folder / "slips.h5")
-    assert (fresh.problem.committed.sliding is not None) == known
-    agree(numbers(fresh), numbers(case))
-    for one in (case, fresh):
-        follow(one, PATH[3:])
-    agree(numbers(fresh), numbers(case))
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("first", ["audited", "failed", "tried", "restored", "begun anew"])
 def test_what_is_not_committed_leaves_no_trace(first, folder):
@@ -209,18 +185,3 @@ def test_a_block_of_a_tower_slides_on(way):
     limit = MUS[1] * PRESSURE * width
     assert np.abs(weak.force) == pytest.approx([limit, PRESSURE * width], rel=1e-5)
     assert weak.dissipation - slid == pytest.approx(limit * way, rel=1e-4)
-
-
-@pytest.mark.parametrize(("cell", "most"), [("triangle", 1), ("hexahedron", 2)])
-def test_it_costs_few_sets_to_go_on(cell, most):
-    """The set is that of the last step, in space it turns a bit."""
-    costs = {}
-    for way in (0.07, 0.04):
-        for forget in (False, True):
-            case = create(cell, friction=MU)
-            walk(case, [0.0, 0.03, 0.05], 2 * PRESS)
-            if forget:
-                case.problem.committed.sliding = None
-            (costs[way, forget],) = walk(case, [way], 2 * PRESS)
-    assert costs[0.07, False][0] <= most < costs[0.07, True][0]
-    assert costs[0.04, False] == costs[0.04, True]

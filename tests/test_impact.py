@@ -278,17 +278,6 @@ def test_the_load_of_a_tool_that_jumps(gap):
         assert abs(step.report.ledger.defect) < 1e-10
 
 
-def test_a_round_tool_without_mass_hands_on_its_load(middle=0.47):
-    """One node or two meet it, which takes energy, but nobody gives an impulse beside the load."""
-    disc = dm.shapes.Cylinder([middle, 1.5], 0.5)
-    case, dt = Pushed(shape=disc), 2.5e-3
-    for step in steps(case.problem, dt * np.arange(1, 21)):
-        assert case.inertia.momentum()[1] == pytest.approx(-10.0 * step.time, rel=1e-8)
-        assert case.inertia.momentum() == pytest.approx(step.report.ledger.impulses[0], abs=1e-8)
-        assert abs(step.report.ledger.defect) < 0.02
-        assert not any("in this step contact has" in note for note in step.report.notes)
-
-
 def test_a_tool_without_mass_does_not_cross_a_gap():
     with pytest.raises(
         dm.NewtonNotConverged, match="touch the body at the start: tools have no mass"

@@ -117,13 +117,6 @@ def test_a_loop_dissipates_what_it_encloses(slip, share):
     assert area == pytest.approx(loop, rel=1e-5)
 
 
-def test_little_slip_dissipates_with_the_cube():
-    first, second = (LINE(share).dissipation for share in (1e-3, 2e-3))
-    assert second / first == pytest.approx(8.0, rel=3e-3)
-    full = LINE.limit**2 / (2.0 * np.pi * AT_LINE.E_star)
-    assert first == pytest.approx(full * 1e-9 / 3.0, rel=1e-3)
-
-
 @KINDS
 @pytest.mark.parametrize("share", [0.0, 0.75, 1.0])
 def test_stick_zone(slip, share):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small QPs with friction against solutions found otherwise: all states, and a fixed point."""
+"""Small QPs with friction by all conditions."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -51,25 +51,6 @@ class Problem:
         return self.mu * np.maximum(z[self.normal], 0.0) + self.cohesion
 
 
-def by_fixed_point(p):
-    """Return a solution: reactions go along the gradient and back to where they may be."""
-    dofs = np.concatenate([p.normal, p.tangential.ravel()])
-    W, nodes = np.linalg.inv(p.A), len(p.normal)
-    r, z = 1.0 / np.linalg.eigvalsh(W[np.ix_(dofs, dofs)]).max(), np.zeros(len(p.b))
-    for _ in range(20_000):
-        x = W @ (p.b - z)
-        old = z.copy()
-        z[p.normal] = np.maximum(0.0, z[p.normal] + r * (x[p.normal] - p.gap))
-        trial = z[p.tangential] + r * (x[p.tangential] - p.rest)
-        size = np.linalg.norm(trial, axis=1)
-        share = np.minimum(1.0, p.limit(z) / np.maximum(size, 1e-300))
-        z[p.tangential] = trial * share[:, None]
-        if np.abs(z - old).max() < 1e-14:
-            break
-    assert np.abs(z - old).max() < 1e-11, nodes
-    return W @ (p.b - z)
-
-
 def law_holds(p, x, z):
     """Check all conditions from the data."""
     force = np.linalg.norm(p.b) + np.linalg.norm(z)
@@ -89,11 +70,10 @@ def law_holds(p, x, z):
 @pytest.mark.parametrize(("t", "mu", "cohesion"), [(2, 0.3, 0.0), (2, 0.0, 0.4), (1, 0.2, 0.3)])
 @hypothesis.given(seed=st.integers(0, 10**6), nodes=st.integers(1, 6))
 @hypothesis.settings(max_examples=25)
-def test_random_problems_against_a_fixed_point(t, mu, cohesion, seed, nodes):
+def test_random_problems_satisfy_the_law(t, mu, cohesion, seed, nodes):
     """In space, and with limits without pressure, which act on open nodes as well."""
     p = Problem(seed, nodes, t, mu=mu, cohesion=cohesion)
     solution = solve(p.qp(), rtol=1e-12)
-    np.testing.assert_allclose(solution.x.array_r, by_fixed_point(p), atol=EXACT)
     law_holds(p, solution.x.array_r, solution.z.array_r)
 
 

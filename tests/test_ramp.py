@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.common.agreement import find_constants
-from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
+from dolfinx_mortar.steps.ramp import check_range, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree
@@ -192,23 +192,3 @@ def test_a_walk_does_not_go_on_with_other_tables(folder):
     press = Press()
     with rejected("ramp: there are 0 tables now, 1 then"):
         next(press.walk(LEVELS, checkpoint=file))
-
-
-def test_tables_are_compared_where_the_walk_has_been():
-    """At the corners of both, and at the ends of the way; by more than round-off."""
-    number = constant(0.0)
-    rows = [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
-    (ramp,) = read_ramps(COMM, {number: rows})
-    saved = [ramp.rows]
-
-    def differs(rows, *walked):
-        return difference(saved, read_ramps(COMM, {number: rows}), walked)
-
-    assert not differs(rows, 0.0, 1.0)
-    assert not differs([(t, v * (1 + 1e-14)) for t, v in rows], 0.0, 1.0)
-    assert differs([(t, v * (1 + 1e-10)) for t, v in rows], 0.0, 1.0)
-    # they meet at the ends of the way and differ between
-    assert "at level 0.5 now" in differs([(0.0, 0.0), (1.0, 0.0)], 0.0, 1.0)
-    assert "at level 0.25 now" in differs([(0, 0), (0.25, 0.0), (0.5, 1), (1, 0)], 0.0, 1.0)
-    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
-    assert "values of table 1 have another shape" in difference(saved, vector, [0.0, 1.0])

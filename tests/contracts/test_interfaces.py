@@ -126,6 +126,37 @@ def test_a_failed_step_leaves_all_as_it_was(create):
 
 
 @KINDS
+def test_looks_change_nothing(create):
+    """Audits, results, reports, tries that are taken back, edits: to the last bit."""
+    looked, plain = create(), create()
+    for made in (looked, plain):
+        problem, interface, go = made
+        for level in LEVELS:
+            before = problem.u.x.array.copy()
+            if made is looked:
+                assert str(problem.audit()) and problem.output_fields()
+                go(0.9 * AMOUNTS[level])
+                report = dm.newton(problem, rtol=1e-3)
+                assert repr(report) and str(report.certificate) and report.as_dict()
+                assert dm.reaction(problem).force.any()
+                if create is not rigid_side:
+                    interface.gather(problem.u)
+                problem.u.x.array[:] = before
+            go(AMOUNTS[level])
+            dm.newton(problem, rtol=1e-9)
+            fields = [] if create is rigid_side else interface.nodal.values()
+            kept = [(f, f.x.array.copy()) for f in fields if made is looked]
+            for f, _ in kept:
+                f.x.array[:] = 7.0
+            problem.commit()
+            for f, values in kept:
+                f.x.array[:] = values
+    if COMM.size == 1 and create in (contact, obstacle, own):  # others start where they were led
+        assert np.array_equal(shown(looked), shown(plain))
+    agree(shown(looked), shown(plain))
+
+
+@KINDS
 def test_forces_are_in_balance(create):
     """With those of the other side, or of the supports."""
     problem, interface, _ = made = create()
