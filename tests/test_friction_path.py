@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Friction over several steps: energy, limits that change, slips as state, how steps begin."""
+"""Friction over several steps: energy, limits that change, how steps begin."""
 
 import numpy as np
 import pytest
@@ -98,58 +98,6 @@ def test_tresca_with_the_limits_of_coulomb(cell, geometry):
     a, b = case.closed(), other.closed()
     assert largest(a["traction"] - b["traction"]) < 1e-8 * a["pressure"].max()
     assert np.array_equal(a["status"], b["status"])
-
-
-# -- slips are state
-
-
-SAME = 1e-10
-PATH = [(0.0, -0.02), (0.01, -0.02), (0.03, -0.02), (0.015, -0.02)]  # press, push, slide, back
-
-
-def follow(case, path):
-    """Solve and commit."""
-    for x, y in path:
-        case.solve(x, *([0.0] if case.problem.d == 3 else []), y)
-
-
-def numbers(case):
-    """Return what friction has left, on every rank, and the forces."""
-    shown = case.contact.gather(case.problem.u)
-    order = np.lexsort(np.round(shown["X"], 9).T)  # of partitions that differ by round-off
-    found = {name: shown[name][order] for name in ("traction", "step_slip", "slip", "status", "x")}
-    return found | {"force": case.contact.force, "energy": np.array([case.contact.dissipation])}
-
-
-def agree(found, expected):
-    for name, values in expected.items():
-        scale = 0.03 if "slip" in name else np.abs(values).max()  # that of the motion
-        assert np.abs(found[name] - values).max() <= SAME * scale, name
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("first", ["audited", "failed", "tried", "restored", "begun anew"])
-def test_what_is_not_committed_leaves_no_trace(first, folder):
-    """A first step has the partners where the supports move the bodies, whatever was before it."""
-    case, other = (create(friction=MU, geometry="updated") for _ in range(2))
-    if first == "audited":
-        case.problem.audit()
-    elif first == "failed":
-        case.push(0.1, -0.02)
-        with pytest.raises(dm.NewtonNotConverged):
-            dm.newton(case.problem, max_it=1, rtol=1e-12)
-    elif first == "tried":
-        case.push(0.4, -0.03)
-        dm.newton(case.problem)
-    else:
-        saved = other if first == "restored" else case
-        saved.problem.save(folder / "begin.h5")
-        follow(case, PATH[: 1 if first == "restored" else 4])
-        case.problem.restore(folder / "begin.h5")
-        assert case.contact.dissipation == 0.0 and not case.contact.slip.x.array.any()
-    for one in (case, other):
-        follow(one, [(0.1, -0.02)])
-    agree(numbers(case), numbers(other))
 
 
 # -- a step begins with the slips of the last one

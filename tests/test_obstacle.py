@@ -112,20 +112,12 @@ def test_two_tools_share_a_side(monkeypatch):
     assert pressed(discs)[1] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("d", "share"), [(2, 0.3), (3, 0.02)])
-def test_a_ball_smaller_than_a_facet_is_noted(d, share):
+def test_a_ball_smaller_than_a_facet_is_noted():
     """It sinks in beside all points of integration, without any force."""
-    h = 0.25
-    case = Box(
-        ("quadrilateral", "hexahedron")[d - 2],
-        [4] * d,
-        low=(0.0, 0.0, -1.0)[3 - d :],
-        high=(1.0, 1.0, 0.0)[3 - d :],
-    )
-    centre = np.array([0.5 + 0.37 * h] * (d - 1) + [0.0])
-    tool = case.tool((dm.shapes.Cylinder if d == 2 else dm.shapes.Sphere)(centre, share * h))
+    h, case = 0.25, Box("hexahedron", (4, 4, 4), (0.0, 0.0, -1.0), (1.0, 1.0, 0.0))
+    tool = case.tool(dm.shapes.Sphere(np.array([0.5 + 0.37 * h, 0.5 + 0.37 * h, 0.0]), 0.02 * h))
     problem = case.problem([tool])
-    for place, noted in ((share - 0.02, False), (share - 0.3, True)):
+    for place, noted in ((0.0, False), (-0.28, True)):
         tool.position.value[-1] = place * h
         assert said(dm.newton(problem).notes, "deep in") == noted
 
@@ -204,17 +196,13 @@ UP, DOWN = (dm.shapes.Plane([0.0, 0.0], [0.0, way]) for way in (1.0, -1.0))
 AXIS = {"kinematics": "axisymmetric"}
 WRONG = [  # options of the obstacle, of the problem; words
     ({"slave": "lid"}, {}, ("lid",)),
-    ({"slave": 77}, {}, ("slave=77", "marks no facet")),
     ({"shape": "ball"}, {}, ("shape is 'ball'", "dolfinx_mortar.shapes")),
     ({"shape": FILE}, {}, ("3 coordinates", "the mesh has 2")),
-    ({"shape": BALL}, {}, ("shape: Sphere", "give a Cylinder")),
     ({}, AXIS, ("shape: Cylinder", "Sphere or a Torus")),
     ({"reference": [0.0, 0.0, 0.0]}, {}, ("reference", "2 finite")),
     ({"surface": "round"}, {}, ("surface is 'round'", "'smooth' or 'facets'")),
-    ({"friction": 0.1, "tresca": 1.0}, {}, ("friction", "tresca")),
     ({"load": -1.0}, {}, ("load is -1.0", "dictionary", "'moment'")),
     ({"load": {"z": -1.0}}, {}, ("load is {'z': -1.0}", "'x', 'y', 'moment'")),
-    ({"load": {"y": "heavy"}}, {}, ("load['y'] is 'heavy'", "finite number")),
 ]
 
 

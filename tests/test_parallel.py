@@ -28,7 +28,7 @@ SLOW_ON_THREE = """
     load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
+    audit axisymmetric_contact axisymmetric_patch bending certificate checkpoint
     checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
     demo_meshes dynamics edges eigenstrain energies faceted_shapes finite_loads folds
     impact jump jump_errors kinematics linear linearisation loads margin

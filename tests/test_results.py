@@ -45,7 +45,6 @@ def test_asking_before_the_first_step():
 def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
     """It would be the results of the other one; what has been written stays."""
     pytest.importorskip("matplotlib")
-    folder = folder
     case = PressedBlocks()
     contact = case.contact()
     first = case.problem([contact])

@@ -112,17 +112,18 @@ def test_a_walk_goes_on_from_a_checkpoint(create, folder):
 
 @KINDS
 def test_a_failed_step_leaves_all_as_it_was(create):
+    """The first one, and a later one."""
     made, other = create(), create()
-    for each in (made, other):
-        walk(each, LEVELS[:1])
     problem, _, go = made
-    before = shown(made)
-    go(AMOUNTS[0.5])
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, max_it=1, rtol=1e-12)
-    go(AMOUNTS[0.25])
-    assert np.array_equal(shown(made), before)
-    agree(walk(made, LEVELS[1:]), walk(other, LEVELS[1:]))
+    for level in LEVELS[:2]:
+        before = problem.committed.begun and shown(made)
+        go(AMOUNTS[0.5])
+        with pytest.raises(dm.NewtonNotConverged):
+            dm.newton(problem, max_it=1, rtol=1e-12)
+        go(AMOUNTS[0.25])
+        assert not problem.committed.begun or np.array_equal(shown(made), before)
+        agree(walk(made, [level]), walk(other, [level]))
+    agree(walk(made, LEVELS[2:]), walk(other, LEVELS[2:]))
 
 
 @KINDS
