@@ -15,7 +15,7 @@ from dolfinx_mortar.steps import newton
 from tests.cases.meshes import BOTTOM, LEFT
 from tests.cases.pressed_blocks import rejected
 from tests.cases.two_bodies import TwoBodies
-from tests.tool_case import BASE, DEPTH, DISC, STEEL, TOP, Block, Box, R
+from tests.tool_case import BASE, DEPTH, DISC, TOP, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -38,29 +38,6 @@ def test_the_force_finds_the_position(friction, geometry):
     assert driven.travel == pytest.approx([0.0, -apart - DEPTH, 0.0], rel=rel)
     assert driven.tool_force[0] == pytest.approx(force[0], rel=rel, abs=1e-9)
     assert report.newton_iterations <= 12
-
-
-def plate():
-    """Return a block, and a plate over its uneven side driven by a force and a moment."""
-    case = Block(n=16, size=2.0, fine=1.5)
-    shape = dm.shapes.Plane([1.0, 0.05], [0.0, -1.0])
-    tool = case.tool(shape, load={"y": -0.5, "moment": -0.1})
-    return tool, case.problem([tool])
-
-
-def test_a_plate_finds_its_angle():
-    """Prescribed where it lies, it has the same forces."""
-    tool, problem = plate()
-    dm.newton(problem, rtol=1e-9)
-    assert [tool.tool_force[1], tool.tool_moment[2]] == pytest.approx([0.5, 0.1], rel=1e-7)
-    assert abs(tool.travel[2]) > 1e-5
-    held, other = plate()
-    held.load = {}
-    held.position.value[:] += tool.travel[:2]
-    held.rotation.value[...] = tool.travel[2]
-    dm.newton(other, rtol=1e-9)
-    assert held.tool_force == pytest.approx(tool.tool_force, rel=1e-6, abs=1e-7)
-    assert held.tool_moment == pytest.approx(tool.tool_moment, rel=1e-6, abs=1e-7)
 
 
 def plate_on_a_box(cell, degree, place, **options):
@@ -161,19 +138,6 @@ def test_a_disc_rolls_over_facets_in_a_step():
     assert pose.position[0] - 2.0 == pytest.approx(-radius * pose.rotation[0], abs=0.1)
 
 
-def test_a_dent_is_left_without_a_load():
-    """Of a plastic block; forces in it remain, and none on the tool."""
-    case = Block(n=16, fine=0.6)
-    load = fem.Constant(case.mesh, default_real_type(0.0))
-    tool = case.tool(DISC, load={"y": load}, friction=0.3)
-    ramp = {load: [(0.0, 0.0), (1.0, -2.0), (2.0, 0.0)]}
-    problem = case.problem([tool], law=STEEL)
-    *_, step = dm.load_steps(problem, [0.5, 1.0, 1.5, 2.0], ramp=ramp, progress=False)
-    assert COMM.size > 1 or step.report.cuts == 0  # else the order of messages decides
-    assert np.abs(tool.tool_force).max() < 1e-9
-    assert -0.08 < tool.travel[1] < -0.04
-
-
 RUBBER = dm.NeoHooke(E=10.0, nu=0.3)
 METAL = dm.VonMises(E=10.0, nu=0.3, Y=0.5, a=1.0)
 
@@ -250,11 +214,11 @@ def test_supports_lead_what_goes_on():
     begun = problem.owned_u.copy()
     problem.owned_u[:] = before
     problem.u.x.scatter_forward()
-    report = next(walk).report
-    way = problem.owned_u - before
-    off, size = maximum(COMM, *(np.abs(v).max(initial=0.0) for v in (begun - before - way, way)))
+    assert next(walk).report.newton_iterations <= 3
+    off, size = maximum(
+        COMM, *(np.abs(problem.owned_u - u).max(initial=0) for u in (begun, before))
+    )
     assert off < 0.02 * size
-    assert report.newton_iterations <= 3
 
 
 def test_a_step_that_fails_from_there_begins_without(monkeypatch):

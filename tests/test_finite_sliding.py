@@ -10,7 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces import contact as interface
-from tests.cases.finite_sliding import COMM, averaged, indentation, turning_hub, walk
+from tests.cases.finite_sliding import COMM, averaged, indentation, walk
 from tests.cases.hertz import create_case
 
 
@@ -155,33 +155,6 @@ def test_a_step_slides_by_ten_facets_with_friction():
     assert abs(H - 0.3 * V) < 0.02 * V
     assert report.newton_iterations <= 6
     assert report.iterations[-1].exact_tangent
-
-
-def test_a_stuck_pair_that_turns_keeps_its_traction():
-    """A torque that friction carries: the same to 1e-9 after all has turned by 90 degrees."""
-    case = turning_hub(friction=2.0)
-    moments, ends = [], [(0.0, 0.0), (0.02, 0.0), *((0.02 + a, a) for a in (np.pi / 4, np.pi / 2))]
-    for hub, outer in ends:
-        case.turn(hub, outer)
-        report = dm.newton(case.problem, rtol=1e-11)
-        case.problem.commit()
-        moments.append(case.contact.moment[2])
-    assert abs(moments[0]) < 1e-6  # the facets do not match
-    assert abs(moments[1]) > 0.05
-    assert np.abs(np.array(moments[2:]) - moments[1]).max() < 1e-9 * abs(moments[1])
-    assert report.newton_iterations <= 3
-
-
-@pytest.mark.mpi
-def test_a_pair_that_turns_in_frozen_geometry_is_noted():
-    """The normals stay what they are at X, all around."""
-    case = turning_hub(geometry="reference")
-    for angle, noted in ((0.0, False), (0.02, False), (0.1, True)):
-        case.turn(angle, angle)
-        report = dm.newton(case.problem)
-        case.problem.commit()
-        notes = [note for note in report.notes if "has turned by" in note]
-        assert len(notes) == noted
 
 
 @pytest.mark.mpi

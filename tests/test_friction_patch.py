@@ -9,16 +9,12 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases import meshes
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
-from tests.cases.friction import ELASTIC, create, largest
+from tests.cases.friction import ALIKE, ELASTIC, create, largest
 from tests.cases.pressed_blocks import failing
 from tests.cases.two_bodies import create_problem, held
 
 EXACT = 1e-10
 MU, P = 0.3, 2.0
-ALIKE = {  # blocks that are as wide as each other
-    2: {"x_lower": (0.0, 1.0), "n_lower": (5, 2), "n_upper": (4, 3), "jitter": 0.3},
-    3: {"lower": (0.0, 1.0, 0.0, 1.0), "n_lower": (3, 3, 2), "n_upper": (2, 4, 2), "jitter": 0.3},
-}
 
 
 def loaded(case, loads, bottom):
@@ -74,19 +70,6 @@ def test_constant_shear_below_the_limit(cell, d, degree, slave):
     assert largest(nodes["step_slip"]) == 0.0
 
 
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
-def test_the_limit_lies_where_it_should(geometry):
-    """At 0.99 of it all sticks; at 1.01 nothing holds the upper block, which the error says."""
-    patch = Patch("triangle", 0.99, geometry=geometry)
-    dm.newton(patch.problem, rtol=1e-11)
-    nodes = patch.contact.gather(patch.problem.u)
-    assert not (nodes["status"] == 2.0).any() and (nodes["status"] == 1.0).sum() >= 4
-    patch = Patch("triangle", 1.01, geometry=geometry)
-    with failing(patch.problem, "The loads may exceed what friction carries"):
-        dm.newton(patch.problem)
-    assert not patch.problem.u.x.array.any()
-
-
 def on_slope(slope, mu, cell, slave="lower"):
     """Return a problem: a block on a wide one, under gravity that leans by tan(angle) = slope."""
     space = cell == "hexahedron"
@@ -121,7 +104,7 @@ def test_a_block_on_a_slope(cell, slave, mu):
     nodes = contact.gather(problem.u)
     if len(gravity) == 2:
         assert (nodes["status"] == 1.0).any()
-        problem, *_ = on_slope(1.03 * mu, mu, cell, slave)
+        problem, *_ = on_slope(1.01 * mu, mu, cell, slave)
         said = "The loads may exceed what friction carries", "slides or rolls freely"
         with failing(problem, *said) as caught:
             dm.newton(problem)
@@ -154,12 +137,6 @@ def test_blocks_that_meet_in_a_corner_shrink_without_slip():
         assert largest(nodes["step_slip"]) < EXACT
 
 
-# -- many bodies
-
-
-WIDE = [(-0.5, 1.5, -1.0, 0.0, 8, 2), (0.0, 1.0, 0.0, 1.0, 5, 2), (-0.5, 1.5, 1.0, 2.0, 7, 2)]
-
-
 # -- prescribed nodes
 
 
@@ -167,7 +144,8 @@ WIDE = [(-0.5, 1.5, -1.0, 0.0, 8, 2), (0.0, 1.0, 0.0, 1.0, 5, 2), (-0.5, 1.5, 1.
 @pytest.mark.parametrize("swap", [False, True])
 def test_prescribed_nodes_have_their_friction(swap):
     """A block pushed by its side face, whose corner slides as prescribed: T = mu N."""
-    b = Blocks(WIDE[:2], cell="quadrilateral")
+    wide = [(-0.5, 1.5, -1.0, 0.0, 8, 2), (0.0, 1.0, 0.0, 1.0, 5, 2)]
+    b = Blocks(wide, cell="quadrilateral")
     sides = (10 + ABOVE, 20 + BELOW)[:: 1 if swap else -1]
     contact = dm.Contact(b.facets, slave=sides[0], master=sides[1], friction=0.3)
     way = fem.Constant(b.mesh, 0.0)
@@ -209,7 +187,7 @@ def test_nodes_on_a_plane_of_symmetry_have_no_friction(swap):
 
 @pytest.mark.parametrize(
     ("height", "gap", "friction"),
-    [(0.0, 0.0, None), (0.123, 0.0, 0.3), (-1e3, -1e-3, 0.3), (-1e3, 0.0, None)],
+    [(0.123, 0.0, 0.3), (-1e3, -1e-3, 0.3), (0.0, 0.01, None), (-1e3, 0.0, None)],
 )
 def test_where_nothing_acts_nothing_happens(height, gap, friction):
     """Contact alone holds the upper block at level 0, where round-off must not open it."""
@@ -219,7 +197,9 @@ def test_where_nothing_acts_nothing_happens(height, gap, friction):
     contact, t = dm.Contact(b.facets, **sides, friction=friction), fem.Constant(b.mesh, 0.0)
     loads = t * b.traction(2, ABOVE, (0.0, -1.0))
     problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, WEST, 0)], loads=loads)
-    for step in dm.load_steps(problem, [0, 0, 1], ramp={t: [(0, 0.0), (1, 1.0)]}, progress=False):
+    for step in dm.load_steps(
+        problem, [0, 0, 1, 0], ramp={t: [(0, 0.0), (1, 1.0)]}, progress=False
+    ):
         assert abs(contact.force[1] - 3.0 * step.time) < 1e-6 * max(step.time, 1e-3)
         assert step.report.cuts == 0 and not any("handed" in n for n in step.report.notes)
-        assert step.time > 0.0 or largest(b.u.x.array) < 1e-12 * (1.0 + abs(height)) - gap
+        assert step.number > 2 or largest(b.u.x.array) < 1e-12 * (1 + abs(height)) - min(gap, 0.0)

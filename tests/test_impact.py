@@ -190,20 +190,6 @@ def test_a_step_that_would_pass_through_is_cut():
     assert abs(step.report.ledger.defect) < 1e-9
 
 
-def test_a_block_that_would_be_below_a_tool_bounces():
-    """In one step in which it would fly four times as far as its height."""
-    centre, radius = np.array([0.5, -0.5]), 0.2
-    pin, moving = dm.shapes.Cylinder(centre, radius), {"velocity": (0.0, -10.0), "strain": "finite"}
-    problem, _, inertia = meeting((1.0, 0.5), (12, 6), pin, **moving)
-    list(steps(problem, [0.2]))
-    x = problem.X[:, :2] + problem.owned_u.reshape(-1, 2)
-    distances = np.linalg.norm(x - centre, axis=1) - radius
-    assert distances.min(initial=1.0) > -0.01 * radius  # gaps hold in the weighted sense
-    middle = np.isclose(problem.X[:, 0], 0.5)
-    assert x[middle, 1].min(initial=1.0) > centre[1]
-    assert inertia.momentum()[1] > 0.0
-
-
 def meet_a_tool(speed, tool_speed, angle=0.0):
     """Return the mean velocity of a block along a direction, after a tool that moves in it."""
     c, s = np.cos(angle), np.sin(angle)
@@ -276,17 +262,6 @@ def test_the_load_of_a_tool_that_jumps(gap):
         assert case.tool.tool_force == pytest.approx([0.0, -now], abs=1e-8)
         assert case.inertia.momentum()[1] == pytest.approx(momentum, rel=1e-8)
         assert abs(step.report.ledger.defect) < 1e-10
-
-
-def test_a_round_tool_without_mass_hands_on_its_load(middle=0.47):
-    """One node or two meet it, which takes energy, but nobody gives an impulse beside the load."""
-    disc = dm.shapes.Cylinder([middle, 1.5], 0.5)
-    case, dt = Pushed(shape=disc), 2.5e-3
-    for step in steps(case.problem, dt * np.arange(1, 21)):
-        assert case.inertia.momentum()[1] == pytest.approx(-10.0 * step.time, rel=1e-8)
-        assert case.inertia.momentum() == pytest.approx(step.report.ledger.impulses[0], abs=1e-8)
-        assert abs(step.report.ledger.defect) < 0.02
-        assert not any("in this step contact has" in note for note in step.report.notes)
 
 
 def test_a_tool_without_mass_does_not_cross_a_gap():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.problem.contacts import Contacts, Scales, measure
 from dolfinx_mortar.problem.linearisation import (
@@ -17,9 +16,8 @@ from dolfinx_mortar.problem.linearisation import (
     linearise,
 )
 from tests.cases.ball import create_problem
-from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.cases.block_piles import ABOVE, BELOW, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case, paper
-from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
@@ -63,22 +61,6 @@ def test_rigid_travel_ends_at_once(geometry):
         problem.commit()
     own = b.u.x.array.reshape(-1, 2)[b.V.tabulate_dof_coordinates()[:, 1] > 1.0]
     assert np.abs(own - [0.0, -0.9]).max(initial=0.0) < 1e-12
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("gap", [0.0, 0.01])
-def test_a_load_that_vanishes(gap):
-    """A block rests on another one by contact alone; at zero load nothing moves."""
-    case = PressedBlocks(gap=gap, n_lower=(6, 3), n_upper=(8, 4))
-    q, contact = fem.Constant(case.mesh, default_scalar_type(0.0)), case.contact()
-    pull = case.pull((0.0, -1.0))
-    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
-    problem, forces = case.problem([contact], bcs=bcs, loads=q * pull), []
-    for step in dm.load_steps(problem, [0.0, 0.5, 1.0, 0.0], ramp={q: [(0.0, 0.0), (1.0, 5.0)]}):
-        assert len(step.parts) == 1
-        assert step.report.newton_iterations <= 2 or step.time > 0.0
-        forces.append(contact.force[1])
-    assert forces == pytest.approx([0.0, -2.5, -5.0, 0.0], abs=1e-5)
 
 
 # -- the end of a step -----------------------------------------------------------------------------
@@ -186,21 +168,6 @@ def test_frozen_geometry_that_slides_is_noted():
 
 
 # -- a potential of the displacement ---------------------------------------------------------------
-
-
-@pytest.mark.mpi
-def test_a_body_on_springs():
-    """A block held by a bed of springs alone: p/k plus the compression, in one linear solve."""
-    b = Blocks(PILE[:1])
-    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
-    k, p = 1000.0, 5.0
-    springs = 0.5 * k * b.u[1] ** 2 * ds(10 + BELOW)
-    bcs = [b.fix(1, WEST, component=0), b.fix(1, EAST, component=0)]
-    law = dm.Elastic(1000.0, 0.0)
-    problem = b.problem([], bcs, law=law, loads=b.traction(1, ABOVE, (0.0, -p)), potential=springs)
-    assert dm.newton(problem).newton_iterations == 1
-    y = b.V.tabulate_dof_coordinates()[:, 1]
-    assert np.abs(b.u.x.array[1::2] + p / k + p / 1000.0 * y).max(initial=0.0) < 1e-12
 
 
 def test_ball_against_block_in_few_iterations():

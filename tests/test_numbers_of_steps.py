@@ -54,7 +54,7 @@ OTHERS = {
     "report.penetration",
     "interfaces.pretension",
     "report.certificate",
-    # in test_exact_tangent and test_failures
+    # in test_exact_tangent and test_load_steps
     "interfaces.moving_geometry",
     "steps.subproblem",  # in test_finite_strain, too
     "steps.newton",

@@ -24,14 +24,14 @@ ON_TWO = """
     point_terms progress regions results summary tags terms
 """.split()
 SLOW_ON_THREE = """
-    contracts/interfaces convected driven_tools exact_tangent_3d finite_sliding friction_path
+    contracts/interfaces convected driven_tools exact_tangent finite_sliding friction_path
     load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
+    audit axisymmetric_contact axisymmetric_patch bending certificate checkpoint
     checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
-    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads
-    impact jump jump_errors kinematics linear linearisation loads looks_change_nothing margin
+    demo_meshes dynamics edges eigenstrain energies faceted_shapes finite_loads
+    impact jump jump_errors kinematics linear linearisation loads margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
     resolution rubber skins small_strain smooth_3d smooth_contact smooth_tie solid

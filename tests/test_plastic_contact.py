@@ -65,36 +65,6 @@ def test_ten_steps():
     assert abs(force[0] / force[1] - 1) < 2e-4
 
 
-def walk(case, times):
-    """Run load steps; return displacement, force and active nodes of each."""
-    rows = []
-    for step in dm.load_steps(case.problem, times, on_time=case.press):
-        assert len(step.parts) == 1
-        rows.append((step.time, case.force, step.report.certificate.active_nodes))
-    assert rows[-1][0] == times[-1]
-    return np.array(rows)
-
-
-def test_separation_and_contact_again():
-    """Load, separation and contact again run through; separation leaves no force but a dent."""
-    case = create_case(create_mesh("paper", 0.05))
-    part = np.linspace(0, 0.2, 5)
-    up = walk(case, part[1:])
-    assert np.all(np.diff(up[:, 1]) > 0)
-    down = walk(case, part[-2::-1])
-    separated = down[:, 2] == 0
-    assert separated[-1] and not separated[0]
-    assert np.all(down[separated, 1] <= 1e-9 * up[-1, 1])
-    surface = case.contact.gather(case.problem.u)
-    sink = (surface["X"] - surface["x"])[:, 1]
-    assert sink.max() > 0.01
-    assert surface["gap"][np.argmax(sink)] > 0.01
-    again = walk(case, part[1:])
-    # kinematic hardening, unloaded elastically or nearly so: the way back ends where it began
-    assert abs(again[-1, 1] / up[-1, 1] - 1) < 0.02
-    assert np.count_nonzero(again[:, 2] == 0) > 0
-
-
 @pytest.mark.parametrize(("slave", "depth"), [("block", 0.2), ("disc", 0.4)])
 @pytest.mark.parametrize(("geometry", "limit"), [("reference", 10), ("updated", 13)])
 def test_newton_iterations(depth, slave, geometry, limit):
@@ -140,11 +110,16 @@ def test_units():
 
 
 def test_tolerances_down_to_round_off():
-    """The tolerance 1e-12 stops at round-off, also for separated bodies and after unloading."""
-    case = create_case(create_mesh("paper", 0.05))
-    for depth in (0.1, 0.0, -0.05, 0.0, 0.1):
+    """Rtol 1e-12 stops at round-off, also for separated bodies; unloading leaves a dent."""
+    case, forces = create_case(create_mesh("paper", 0.05)), []
+    for depth in (0.1, 0.2, 0.0, -0.05, 0.0, 0.2):
         case.press(depth)
-        report = dm.newton(case.problem, rtol=1e-12)
+        assert dm.newton(case.problem, rtol=1e-12).converged
         case.problem.commit()
-        assert report.converged
+        forces.append(case.force)
         assert (case.force > 0) == (depth > 0)
+        if depth < 0:
+            nodes = case.contact.gather(case.problem.u)
+            sink = (nodes["X"] - nodes["x"])[:, 1]
+            assert sink.max() > 0.01 and nodes["gap"][np.argmax(sink)] > 0.06
+    assert forces[-1] == pytest.approx(forces[1], rel=0.02)  # kinematic hardening

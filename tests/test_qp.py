@@ -44,7 +44,6 @@ def test_every_file_is_a_backend():
         (4.0, -INF, 1.0, 1.0, 2.0, 1),
         (-4.0, -1.0, INF, -1.0, -2.0, -1),
         (4.0, -INF, 3.0, 2.0, 0.0, 0),
-        (4.0, -1.0, 1.0, 1.0, 2.0, 1),
         (0.0, -INF, -1.0, -1.0, 2.0, 1),
     ],
 )
@@ -147,12 +146,9 @@ def test_a_body_held_by_its_bounds_alone(backend):
     assert reactions.min() > -1e-9
 
 
-def test_a_body_pulled_away_is_an_error():
+def test_a_body_held_by_nothing_is_an_error():
     with pytest.raises(QPNotSolved, match=r"moves away|nothing holds a body"):
         solve(membrane(6, held=False, force=-1.0))
-
-
-def test_a_body_held_by_nothing_is_an_error():
     qp = membrane(8, held=False, force=1.0)
     qp.upper.set(PETSc.INFINITY)
     with pytest.raises(QPNotSolved, match="nothing holds a body"):
@@ -168,16 +164,6 @@ def test_units_do_not_matter(backend, stiffness, length):
     assert abs(other.linear_iterations - plain.linear_iterations) <= 1
     expected, found = gathered(plain.z), gathered(other.z) / (stiffness * length)
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
-
-
-@pytest.mark.mpi
-def test_ranks_agree_with_one():
-    own = solve(membrane(16, comm=MPI.COMM_SELF), rtol=1e-14)
-    shared = solve(membrane(16), rtol=1e-14)
-    for name in ("x", "z"):
-        expected = getattr(own, name).array_r
-        found = gathered(getattr(shared, name))
-        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
 def test_forces_whose_squares_underflow_are_none():

@@ -33,13 +33,6 @@ def test_a_solution_depends_on_the_program_alone():
     assert found.linear_iterations == expected.linear_iterations
 
 
-def _dense(A):
-    indptr, columns, values = A.getValuesCSR()
-    dense = np.zeros(A.size)
-    dense[np.repeat(np.arange(A.size[0]), np.diff(indptr)), columns] = values
-    return dense
-
-
 def assert_condensed(found, A, b, own):
     """S and g of the unknowns with bounds, and x of all for any values of these."""
     qp, rest = found.about(), np.setdiff1d(np.arange(len(A)), own)
@@ -55,15 +48,6 @@ def assert_condensed(found, A, b, own):
         np.testing.assert_allclose(x[own], given)
         expected = inner[:, -1] - inner[:, :-1] @ given
         np.testing.assert_allclose(x[rest], expected, atol=1e-11 * np.abs(expected).max())
-
-
-@pytest.mark.mpi
-def test_the_condensed_problem_is_that_of_dense_algebra():
-    qp, linear = membrane(12, comm=COMM_SELF, force=1.0), LinearSolver(COMM_SELF, prefix="S_")
-    linear.set_matrix(qp.A, apart=set_apart(qp, linear.options))
-    found = Condensed(qp, linear, 0.0)
-    assert_condensed(found, _dense(qp.A), qp.b.array_r, qp.held)
-    assert linear.counts.factorisations == 1
 
 
 @pytest.mark.mpi

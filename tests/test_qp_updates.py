@@ -14,7 +14,6 @@ from programs import (
 
 from dolfinx_mortar.qp import LinearSolver, check, held, solve, solver
 from dolfinx_mortar.qp.held import (
-    LOOSE,
     TIGHT,
     Found,
     HeldProblem,
@@ -30,33 +29,6 @@ INF = np.inf
 def updates_only(monkeypatch):
     """Switch the condensation off, as for very many bounded unknowns."""
     monkeypatch.setattr(solver, "set_apart", lambda *_: None)
-
-
-def follow(*, settles_at, level):
-    """Update between two sets that change places below a level; return the levels of the solves."""
-    levels = []
-
-    def hold(active, level):
-        levels.append(level)
-        other = active if level >= settles_at else 1 - active
-        return Found(other, int((other != active).sum()), satisfied=level >= TIGHT)
-
-    return update(hold, sets(0, 1), MPI.COMM_SELF, level=level), levels
-
-
-def test_a_cycle_of_tight_solves_ends_at_once():
-    outcome, levels = follow(settles_at=99, level=TIGHT)
-    assert "came back" in outcome.reason and len(levels) == 3
-
-
-def test_a_cycle_of_loose_solves_tightens_them():
-    outcome, levels = follow(settles_at=TIGHT, level=LOOSE)
-    assert outcome.reason == "" and levels[-1] == TIGHT and len(levels) < 10
-
-
-def test_a_set_that_stays_is_solved_tightly_before_it_is_taken():
-    outcome, levels = follow(settles_at=LOOSE, level=LOOSE)
-    assert outcome.reason == "" and outcome.updates == 1 and levels == [LOOSE, 1, TIGHT]
 
 
 @pytest.mark.mpi

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.mortar.curvature_correction import find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.surface import create_surface, thickness_stretches
-from dolfinx_mortar.report import resolution
+from dolfinx_mortar.report import notes
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.cases.hertz import create_case
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
@@ -287,7 +287,7 @@ def test_what_heights_miss(cell, swap):
     problem.update_geometry()
     (link,) = problem.system.links
     inner = np.abs(problem.X[link.nodes, :2]).max(axis=1) < reach
-    found = [link.gaps(problem.positions())[inner], resolution._missed(link, None)]
+    found = [link.gaps(problem.positions())[inner], notes._missed(link, None)]
     gaps, missed = (np.concatenate(COMM.allgather(part)) for part in found)
     # the change of normals over the distance is left out
     assert np.abs(gaps).max() < 1.5 * np.abs(missed).max()
