@@ -20,8 +20,8 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # the same for any number. The slow run has what stands on that, or pairs in space. The others know
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
-    agreement checkpoint_files errors friction_errors mesh_audit msh problem
-    point_terms progress regions results summary tags terms
+    agreement errors friction_errors mesh_audit msh problem
+    point_terms progress results summary tags terms
 """.split()
 SLOW_ON_THREE = """
     contracts/interfaces convected driven_tools exact_tangent_3d finite_sliding friction_path
@@ -31,7 +31,7 @@ AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
     checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
     demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads folds
-    impact jump jump_errors kinematics linear linearisation loads looks_change_nothing margin
+    impact jump jump_errors kinematics linear linearisation looks_change_nothing margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
     resolution rubber skins small_strain smooth_3d smooth_contact smooth_tie solid
