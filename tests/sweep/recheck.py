@@ -45,7 +45,7 @@ def residuals(
     Args:
         case: the problem.
         before: owned displacements that the step started from; slips are read off the contact if
-            they are not known.
+            they are not known, or the geometry is updated.
         begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
     comm = case.problem.V.mesh.comm
@@ -213,13 +213,12 @@ def _contact(
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
     if case.limit is not None:
-        # in space the slave side carries what is apart along it when it spins about its normal, so
-        # that slips are objective: there they are read off the contact
-        way, spins = None, d > 2 and case.problem.geometry == "updated"
-        if before is not None and not spins:
+        # with updated geometry the slave side carries along what is apart when it turns, so that
+        # slips are objective: there they are read off the contact
+        way = None
+        if before is not None and case.problem.geometry == "reference":
             moved = case.problem.u.x.array[: _owned(case)] - before
-            plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
-            way = _way(case, contact, sides, before, nodes, plain, normals)
+            way = _apply(B, moved).reshape(-1, d) / weight[:, None]
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
         largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
@@ -252,83 +251,6 @@ def _travel_of(case: RandomProblem, before: Floats | None) -> float:
     step = 0.0 if before is None else np.abs(u - before).max(initial=0.0)
     local = max(float(step), LEAST_STEP * float(np.abs(u).max(initial=0.0)))
     return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
-
-
-def _way(
-    case: RandomProblem,
-    contact: dm.Contact,
-    sides: tuple[int, int],
-    before: Floats,
-    at: npt.NDArray[np.int64],
-    plain: Floats,
-    normals: Floats,
-) -> Floats:
-    """Return by how much slave nodes (n, d) have moved relative to the master in the step.
-
-    With updated geometry to those points of the master that they faced before the step; those that
-    faced none, in the first step to those where the supports had moved the upper body as a whole.
-    What was apart then turns with the normal, to ``normals``. Nodes ``at`` that faced none either
-    have moved as in the present configuration, ``plain``.
-    """
-    problem, V = case.problem, case.problem.V
-    d, own = V.mesh.geometry.dim, _owned(case)
-    u = problem.u.x.array[:own]
-    if problem.geometry == "reference":
-        return plain
-    held = case.bcs[1].dof_indices()[0]
-    held = held[held < own]
-    asked = (u - before)[held].reshape(-1, d)
-    shift = V.mesh.comm.allreduce(asked.sum(axis=0), op=MPI.SUM)
-    shift /= V.mesh.comm.allreduce(len(asked), op=MPI.SUM)
-    first = not V.mesh.comm.allreduce(float(np.abs(before).max(initial=0.0)), op=MPI.MAX)
-    way = np.full((problem.n, d), np.nan)
-    for moved in (0.0, shift) if first else (0.0,):
-        begin = fem.Function(V)
-        begin.x.array[:own] = before
-        begin.x.scatter_forward()
-        begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
-        there = _way_from(case, contact, sides, begin, before, at, normals)
-        way = np.where(np.isnan(way), there, way)
-    return np.where(np.isnan(way[at]), plain, way[at])
-
-
-def _way_from(
-    case: RandomProblem,
-    contact: dm.Contact,
-    sides: tuple[int, int],
-    begin: fem.Function,
-    before: Floats,
-    at: npt.NDArray[np.int64],
-    turned: Floats,
-) -> Floats:
-    """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
-    problem, V, own = case.problem, case.problem.V, _owned(case)
-    d, u = V.mesh.geometry.dim, case.problem.u.x.array[:own]
-    ring = _circumference if is_ring(case) else None
-    pair = {"slave": sides[0], "master": sides[1], "feature_angle": contact.feature_angle}
-    mortar = dm.assemble_mortar(V, case.facet_tags, u=begin, weight=ring, **pair)
-    nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
-    B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
-    normals, present = _normals_at(case, contact, begin)[nodes], np.zeros((problem.n, d))
-    present[at] = turned
-    present = present[nodes]
-    X = _current(case) - u
-    now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
-    then -= normals * (normals * then).sum(axis=1, keepdims=True)
-    room = 1.0 + (normals * present).sum(axis=1, keepdims=True)
-    then -= (then * present).sum(axis=1, keepdims=True) / room * (normals + present)
-    way = np.full((problem.n, d), np.nan)
-    way[nodes] = now - then
-    return way
-
-
-def _normals_at(case: RandomProblem, contact: dm.Contact, u: fem.Function) -> Floats:
-    """Return the normals of a contact (owned nodes, d) at X + u."""
-    link = case.problem.system.link(contact)
-    found = contact.pair(link.sides, u, again=True)
-    normals = np.zeros((case.problem.n, u.function_space.mesh.geometry.dim))
-    normals[link.nodes] = contact.couple(link.sides, *found, link.banned, u).normals
-    return normals
 
 
 def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
