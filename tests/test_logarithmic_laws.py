@@ -45,10 +45,10 @@ LAWS = {
 }
 MULTIPLICATIVE = {"hardening", "voce", "cone", "turning arrays"}
 
-COMPILED: dict[Any, LogarithmicLaw] = {}
+COMPILED = {}
 
 
-def compiled(material: Any, dimension: int = 3) -> LogarithmicLaw:
+def compiled(material, dimension=3):
     """Return a law as function of F, compiled once for all parameters, which are arguments."""
     law = create_law("law", material)
     key = type(material), law.isotropic, *law.state, dimension
@@ -58,7 +58,7 @@ def compiled(material: Any, dimension: int = 3) -> LogarithmicLaw:
     return COMPILED[key]
 
 
-def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
+def given(material, q, state, dimension=3):
     """Return a compiled law, state and parameters of q points, virgin if no state is given."""
     law, fields = compiled(material, dimension), dataclasses.fields(material)
     if state is None:
@@ -66,22 +66,22 @@ def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
     return law, state, {field.name: np.full(q, getattr(material, field.name)) for field in fields}
 
 
-def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3) -> Any:
+def respond(material, F, state=None, dimension=3):
     law, state, p = given(material, len(F), state, dimension)
     return law.values(F, state, p)
 
 
-def start(material: Any, q: int, state: Any = None, dimension: int = 3) -> Any:
+def start(material, q, state=None, dimension=3):
     law, state, p = given(material, q, state, dimension)
     return law, law.start(q, state, p)
 
 
-def rotations(rng: np.random.Generator, q: int) -> np.ndarray:
+def rotations(rng, q):
     Q = np.linalg.qr(rng.standard_normal((q, 3, 3)))[0]
     return Q * np.sign(np.linalg.det(Q))[:, None, None]
 
 
-def stretched(gap: float | None, J: float, seed: int = 1, q: int = 4) -> np.ndarray:
+def stretched(gap, J, seed=1, q=4):
     """Return random F (q, 3, 3) with det F = J, and stretches that differ by a gap, or by 2."""
     rng = np.random.default_rng(seed)
     ratios = np.array([1.5, 1 / 1.5, 1.0] if gap is None else [1.0, 1 + gap, 1 + 0.3 * gap])
@@ -90,11 +90,11 @@ def stretched(gap: float | None, J: float, seed: int = 1, q: int = 4) -> np.ndar
     return rotations(rng, q) @ diagonal @ rotations(rng, q)
 
 
-def flowed(material: Any, q: int = 4) -> Any:
+def flowed(material, q=4):
     return respond(material, stretched(0.2, 1.0, seed=2, q=q)).state
 
 
-def differences(material: Any, F: np.ndarray, state: Any, h: float) -> tuple[Any, Any]:
+def differences(material, F, state, h):
     """Return d psi / dF and dP / dF by differences of sixth order."""
     P, A = np.zeros_like(F), np.zeros((*F.shape, 3, 3))
     for i, j in np.ndindex(3, 3):
@@ -154,7 +154,7 @@ def test_tiny_strains_keep_their_digits(name):
     assert np.abs(P.reshape(2, 3, 3) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
-def sheared(material: Any, end: float, step: float) -> dict[float, float]:
+def sheared(material, end, step):
     """Return Kirchhoff's shear stress in simple shear at multiples of a half, by gamma."""
     state, found = None, {}
     for i in range(1, round(end / step) + 1):
@@ -197,7 +197,7 @@ class Bar:
     state: Any = None
     Q: Any = dataclasses.field(default_factory=lambda: IDENTITY)
 
-    def stretch(self, length: float, poisson: float = 0.5) -> float:
+    def stretch(self, length, poisson=0.5):
         """Return Kirchhoff's stress along the bar; the ratio of the strains is a first guess."""
         self.width *= (length / self.length) ** -poisson
         self.length = length
@@ -212,7 +212,7 @@ class Bar:
         return stress[0, 0] * length
 
     @property
-    def F(self) -> np.ndarray:
+    def F(self):
         return np.diag([self.length, self.width, self.width])
 
 

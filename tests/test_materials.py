@@ -14,9 +14,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
+from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.law_check import law_at_point
 from dolfinx_mortar.materials.protocol import create_law
+from dolfinx_mortar.materials.von_mises import wright_omega
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pressed_blocks import rejected
 from tests.cases.rate_equations import IDENTITY, Rates, deviator
@@ -169,6 +172,15 @@ def test_uniaxial_saturation():
     )
     for plastic in (1e-4, 5e-3, 0.03, 0.2):
         pull(p, 450.0 + 1000.0 * plastic + 200.0 * (1 - math.exp(-30.0 * plastic)), plastic)
+
+
+def test_omega():
+    """Wright's function, omega + ln omega = y: to round-off below y = -9, else to 4e-5 omega."""
+    y, at = constants(1), np.array([-1e3, -700.0, -80.0, -20.0, -9.0, -2.0, -0.6, 0.0, 1.0, 30.0])
+    omega = tabulate(compile_kernel(ufl.as_vector([wright_omega(y[0])])), at[:, None])[:, 0]
+    error = np.abs(omega[1:] + np.log(omega[1:]) - at[1:])
+    assert omega[0] == 0.0 and (error[:4] < 1e-11).all()
+    assert (error < 4e-5 * (1.0 + omega[1:])).all()
 
 
 def test_without_isotropic_hardening_there_is_no_k():
@@ -351,6 +363,6 @@ def test_wrong_parameters(law, change, said):
         ),
     ],
 )
-def test_wrong_tests_of_materials(make, said):
+def test_wrong_arguments_of_constructors(make, said):
     with rejected(said):
         make()

@@ -104,29 +104,3 @@ def test_all_tests_on_ranks(ranks):
 def test_slow_tests_on_ranks(ranks):
     on_three = files_of(SLOW_ON_THREE) | other_files()
     run_on_ranks(ranks, SLOW, 7200.0, on_three if ranks == 3 else files_of([*ON_TWO, *AT_NIGHT]))
-
-
-FAILS_ON_ONE_RANK = """
-from mpi4py import MPI
-
-def test_on_one_rank():
-    assert MPI.COMM_WORLD.rank != {rank}
-
-def test_of_all_ranks():
-    MPI.COMM_WORLD.Barrier()
-"""
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-@pytest.mark.parametrize("rank", [0, 1])
-def test_what_fails_on_one_rank_ends_the_run_on_all(rank, tmp_path):
-    """The others would wait for it in the next test, to the time limit of the run."""
-    (tmp_path / "test_it.py").write_text(FAILS_ON_ONE_RANK.format(rank=rank))
-    arguments = ["-c", "pyproject.toml", "-p", "tests.conftest", "-x", tmp_path / "test_it.py"]
-    done = jobs.run(2, "-m", "pytest", *arguments, cwd=jobs.ROOT, seconds=60.0)
-    said = done.stdout + done.stderr
-    assert done.returncode != 0
-    assert f"[rank {rank}] " in said
-    assert "a test failed on a rank" in said
-    assert "ended after" not in said
