@@ -6,7 +6,6 @@ import resource
 import pytest
 
 from dolfinx_mortar.common.disk import CHECKPOINT, demand_space, is_checkpoint
-from dolfinx_mortar.common.spaces import check_space
 
 pytestmark = pytest.mark.serial
 
@@ -46,9 +45,3 @@ def test_a_folder_and_no_file_are_no_checkpoints(tmp_path):
     file = tmp_path / "state"
     file.write_bytes(CHECKPOINT + b" 7\n")
     assert is_checkpoint(file)
-
-
-@pytest.mark.parametrize("given", [None, "Lagrange", ("Lagrange", 1)])
-def test_what_is_no_space_of_functions(given):
-    with pytest.raises(ValueError, match=r"V is .*give a dolfinx.fem.FunctionSpace"):
-        check_space(given)

@@ -249,9 +249,7 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
     (tmp_path / picture).write_bytes(b"drawn")
     gallery.notebook(shown, tmp_path / "demo.ipynb", tmp_path)
     book = json.loads((tmp_path / "demo.ipynb").read_text())
-    assert book["metadata"]["kernelspec"]["name"] == "python3" and book["nbformat"] == 4
     cells = book["cells"]
-    assert cells[0]["cell_type"] == "markdown" and cells[0]["source"].startswith("# ")
     code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
     files = {re.match(r"%%writefile (.*)\.py\n", text)[1] for text in code if text.startswith("%%")}
     assert files == {p.stem for p in (ROOT / "demos" / demo).glob("*.py")} - {demo}
