@@ -458,7 +458,7 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
     wrong = np.concatenate(comm.allgather(own[hits != 1, : own.shape[1] // 2]))
     if not len(wrong):
         return ""
-    where = ", ".join(f"{v:.6g}" for v in wrong[0])
+    where = ", ".join(f"{v:.6g}" for v in min(wrong.tolist()))
     return (
         f"{len(wrong)} of {total} are in the checkpoint not at all, or more than once, such as "
         f"that at ({where})"
