@@ -65,11 +65,9 @@ class Writer:
                 Earlier files of these names are replaced; the folder must exist.
             problem: a `ContactProblem`, or any object with ``solid.V`` and ``output_fields()``, and
                 perhaps ``steps_done``.
-            notes: kept in the file, such as {"units": "mm, MPa"}; texts as they are, other values
-                in JSON.
-            resume: continue the file of an earlier run, if there is one: a step computed again,
-                after a checkpoint, replaces the earlier one. New values go to another HDF5 file,
-                such as out.2.h5.
+            notes: kept in the file, such as {"units": "mm, MPa"}: texts, or JSON values.
+            resume: continue the file of an earlier run, if there is one: a step computed again
+                replaces the earlier one. New values go to another HDF5 file, such as out.2.h5.
 
         Raises:
             ValueError: on all ranks, naming a wrong argument, as files that cannot be written,

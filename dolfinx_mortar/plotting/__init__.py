@@ -107,14 +107,10 @@ def field(
 
     Args:
         problem: a `ContactProblem`, or a `Solid`, which has no tools.
-        name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
-            "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
-            "displacement_x".
+        name: of a scalar field of `Solid.cell_values`, such as "von_mises" or "stress_yy", with one
+            colour per cell; "displacement" for its length, or "displacement_x".
         scale: factor of displacements.
-        file: as `view`, `ax` and the result, see `mesh`.
-
-    Raises:
-        ValueError: for unknown names and tensors; else as `mesh`.
+        file: as `view`, `ax`, result and errors, see `mesh`.
     """
     solid = getattr(problem, "solid", problem)
     V = getattr(solid, "V", None)
@@ -149,12 +145,10 @@ def pressure(
 
     Args:
         problem: a `ContactProblem` after a step.
-        interfaces: one or several of its interfaces, by default its contacts, or its ties if it has
-            none.
-        file: as `view`, `ax` and the result, see `mesh`.
+        interfaces: some of its interfaces, by default its contacts, or its ties if it has none.
+        file: as `view`, `ax`, result and errors, see `mesh`.
 
     Raises:
-        ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
     if not hasattr(problem, "supports"):

@@ -64,16 +64,14 @@ def reaction(
     Args:
         problem: after a step.
         support: a Dirichlet condition or a list of them; a tag or name for all prescribed
-            components at its nodes, edges included; an array of this rank's local dofs, d * node +
-            component, as from ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)``
-            (not on V, which returns nodes); None for all supports.
+            components at its nodes; an array of this rank's local dofs, d * node + component, as
+            from ``bc.dof_indices()[0]``; None for all supports.
         facet_tags: of the tag, also of cells, edges or vertices; by default those of all interfaces
             if they are the same.
-        about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
+        about: point of the moment, default the origin; not for rings, whose moment is 0.
 
     Raises:
-        ValueError: on all ranks, for invalid arguments, before the first step, and if a later
-            problem uses one of the interfaces.
+        ValueError: on all ranks, for invalid arguments, and before the first step.
     """
     check_problem(problem, ContactProblem)
     check_owned(problem.interfaces, problem.supports)
