@@ -49,7 +49,6 @@ from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.materials.protocol import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
-    Gained,
     ProblemState,
     SupportForces,
     Walk,
@@ -82,7 +81,6 @@ def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
             i.resultants and {name: getattr(i.resultants, name) for name in RESULTANTS}
             for i in state.interfaces
         ],
-        "gained": committed.gained and (committed.gained.travel, committed.gained.duration),
         "found": [interface.state(False) for interface in state.interfaces],
     }
     values = {NODES: _at_nodes(state), POINTS: _at_points(state)}
@@ -172,9 +170,6 @@ class Saved:
         committed.supports = committed.gained = None
         if "supports" in nodes:
             committed.supports = SupportForces(*np.split(nodes["supports"], 2, axis=1))
-        if about["gained"] is not None:
-            travel, duration = about["gained"]
-            committed.gained = Gained(nodes["gained"].flatten(), np.array(travel, float), duration)
         committed.begun, committed.level = about["begun"], about["level"]
         committed.walk = None if about["walk"] is None else Walk(**about["walk"])
         committed.walked, committed.brought = about["walked"], len(self.steps)
@@ -212,8 +207,6 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
     found["active"] = committed.active[:, None].astype(float)
     if state.system.has_friction and committed.sliding is not None:
         found["sliding"] = committed.sliding
-    if committed.gained is not None:
-        found["gained"] = committed.gained.by.reshape(u.shape)
     if (paired := committed.paired) is not None and len(paired):
         found["paired"] = paired.reshape(u.shape)
     if (supports := committed.supports) is not None:
