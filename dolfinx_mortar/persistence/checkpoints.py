@@ -38,7 +38,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common import compat, disk
 from dolfinx_mortar.common.arguments import as_numbers
 from dolfinx_mortar.common.arrays import CHUNK, SAME, Floats, Longs
@@ -154,8 +154,7 @@ class Saved:
         for name, f in {"displacement": state.solid.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
         for name, f in state.solid.points.lasting_fields().items():
-            known = name if name in points else name.replace("shown/", "committed/")
-            set_owned(f, points[known])
+            set_owned(f, points[name.replace("shown/", "committed/")])
         state.solid.forms.committed.forget()
         for k in range(len(state.interfaces)):
             self._put_results(k, nodes)
@@ -224,13 +223,10 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
-    fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
-    for name in [name for name in fields if name.startswith("shown/")]:
-        differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
-        if not any_rank(state.comm, differs)[0]:
-            del fields[name]
+    fields = state.solid.points.lasting_fields().items()
+    found = {name: _owned(f) for name, f in fields if not name.startswith("shown/")}
     places = find_places(state.solid.stress.function_space)
-    return {PLACES: places, "material": material_numbers(state.solid)} | fields
+    return {PLACES: places, "material": material_numbers(state.solid)} | found
 
 
 def _owned(f: fem.Function) -> Floats:
