@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import xml.etree.ElementTree as ET
@@ -124,7 +123,7 @@ class Writer:
         with raised_together(self.comm):
             check("t", t, NUMBER, "give the time or load of the step, a finite number")
             done, brought = getattr(self.problem, "steps_done", (0, 0))
-            step = new_step(done, float(t), self._mesh)
+            step = new_step(done, float(t))
             steps = insert(file.steps, step, made=done > brought)
             for name, f in fields.items():
                 check_xml("output fields", name)
@@ -173,31 +172,24 @@ class Writer:
             self.comm.Barrier()
 
     def _write_mesh(self, V: fem.FunctionSpace) -> list[ET.Element]:
-        """Write cells and points, or reuse equal ones; return their references."""
-        file = self._file
+        """Write cells and points; return their references."""
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
         cells = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(-1, k)
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
         count = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
-        own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
-        every = "".join(self.comm.allgather(own.hexdigest()))
-        self._mesh = hashlib.sha256(every.encode()).hexdigest()
-        for step in file.steps:
-            if step.mesh == self._mesh:
-                return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
-        if file.steps and self.comm.rank == 0:
+        if self._file.steps and self.comm.rank == 0:
             log.warning(
-                "%s: nodes are numbered in another way than in its earlier steps, as on another "
-                "number of ranks; ParaView reads the mesh of each step, meshio only the first one",
+                "%s: each run has a mesh of its own, and on another number of ranks other numbers "
+                "of nodes; ParaView reads the mesh of each step, meshio only the first one",
                 self.path,
             )
         linear = V.ufl_element().degree == 1
         kind = V.mesh.topology.cell_name().capitalize() + ("" if linear else f"_{k}")
         head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(count))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
-        return file.write((head, "cells", cells), (geometry, "points", x))
+        return self._file.write((head, "cells", cells), (geometry, "points", x))
 
 
 def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
@@ -260,7 +252,7 @@ class _ToolFile(File):
         pairs = zip(self.points, tools, strict=True)
         x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
         x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
-        step = new_step(new.done, new.time, "tools")
+        step = new_step(new.done, new.time)
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         points = self.write((geometry, f"points_{number:06d}", x))
         step.grid.extend([*self.head, *points])

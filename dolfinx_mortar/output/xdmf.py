@@ -31,8 +31,7 @@ from dolfinx_mortar.common.disk import (
 _OPEN: WeakValueDictionary[Path, "File"] = WeakValueDictionary()
 # Characters forbidden in XML.
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-# Attributes of a grid: number of load steps, digest of mesh and numbering
-DONE, MESH = "load steps", "mesh"
+DONE = "load steps"  # attribute of a grid: their number
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,6 @@ class Step:
     grid: ET.Element
     done: int  # load steps completed before
     time: float
-    mesh: str  # digest of the mesh with its numbering of nodes
     earlier: bool = False
 
     @property
@@ -51,13 +49,12 @@ class Step:
         return {str(item.text).partition(":")[0].strip() for item in self.grid.iter("DataItem")}
 
 
-def new_step(done: int, time: float, digest: str) -> Step:
+def new_step(done: int, time: float) -> Step:
     """A step whose grid has these data, for `_read`."""
     grid = ET.Element("Grid", GridType="Uniform", Name=f"t = {time!r}")
     ET.SubElement(grid, "Time", Value=repr(time))
-    for name, value in ((DONE, done), (MESH, digest)):
-        ET.SubElement(grid, "Information", Name=name, Value=str(value))
-    return Step(grid, done, time, digest)
+    ET.SubElement(grid, "Information", Name=DONE, Value=str(done))
+    return Step(grid, done, time)
 
 
 class File:
@@ -221,7 +218,7 @@ def _read(path: Path) -> list[Step]:
         for grid in collection:
             found = {i.get("Name"): i.get("Value") for i in grid.findall("Information")}
             time = float(grid.find("Time").get("Value"))  # type: ignore[union-attr, arg-type]
-            steps.append(Step(grid, int(found[DONE] or ""), time, str(found[MESH]), earlier=True))
+            steps.append(Step(grid, int(found[DONE] or ""), time, earlier=True))
     except (ET.ParseError, OSError, LookupError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{told} no Writer of this version has written it ({error}): give another name."
