@@ -114,7 +114,7 @@ class Certificate:
     rotation: float = 0.0  # largest rotation, radians
     loads: float = 0.0  # missing share of the load of a bolt, tool or rigid side
     crossing: float = 0.0  # penetration without an interface, in facets
-    # at finite strain: moment at X + u of a body's internal forces, over forces times arms
+    # at finite strain: moment at X + u of internal forces, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at integration points, 1 for small strains
     energy_defect: float = 0.0  # of `time_steps`, see `Ledger`
