@@ -42,11 +42,9 @@ class Writer:
     (DG0), written per cell. Vectors are padded to three components, stored symmetric tensors
     (`materials.tensor`) to nine (xx, xy, xz, yx, ...); other shapes are written as a flat row.
 
-    Surfaces of rigid tools near the sides are written to a second file, out.tools.xdmf with the
-    same times, with the number of the tool in "tool".
-
-    After every step the HDF5 file is closed and the XDMF file replaced atomically, so that earlier
-    steps stay readable. An error on one rank is raised on all.
+    Surfaces of rigid tools near the sides are written to out.tools.xdmf, with the number of the
+    tool in "tool". Earlier steps stay readable while one is written. Errors are raised on all
+    ranks.
     """
 
     def __init__(
@@ -69,9 +67,9 @@ class Writer:
                 replaces the earlier one. New values go to another HDF5 file, such as out.2.h5.
 
         Raises:
-            ValueError: on all ranks, naming a wrong argument, as files that cannot be written,
-                resumed, or are open in another Writer.
-            OSError: on all ranks, if there is no space on the disk.
+            ValueError: for a wrong argument, as files that cannot be written, resumed, or are open
+                in another Writer.
+            OSError: if there is no space on the disk.
         """
         V = getattr(getattr(problem, "solid", None), "V", None)
         fields = getattr(problem, "output_fields", None)

@@ -6,8 +6,7 @@
     dm.plotting.pressure(problem)
 
 Bodies in the plane are drawn by matplotlib, bodies in space by PyVista (``pip install
-dolfinx_mortar[demo]``), imported at first use. All functions are collective and gather on rank 0;
-for models that do not fit there use `Writer`, and ParaView.
+dolfinx_mortar[demo]``). All functions are collective and gather on rank 0.
 """
 
 from __future__ import annotations
@@ -66,8 +65,8 @@ def mesh(
         all ranks but 0.
 
     Raises:
-        ValueError: for no mesh, tags of another one, `view` in the plane, `ax` in space.
-        ImportError: without matplotlib or PyVista; the message names the extra.
+        ValueError: for wrong arguments, also `view` in the plane and `ax` in space.
+        ImportError: without matplotlib or PyVista.
         RuntimeError: in space, without a screen.
     """
     if not isinstance(mesh, dmesh.Mesh) or mesh.topology.cell_name() not in CELLS:
