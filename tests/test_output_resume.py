@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.output.xdmf import Step, insert
+from dolfinx_mortar.output.writer import Step, insert
 from tests import checkpoint_program
 from tests.cases.pressed_blocks import rejected
 
