@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from dolfinx import fem, mesh
-from dolfinx_mortar.common import disk
 from dolfinx_mortar.output import Writer
 
 meshio = pytest.importorskip("meshio")

@@ -187,7 +187,7 @@ class Writer:
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
         cells = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(-1, k)
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-        count = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
+        total = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
         if self._file.steps and self.comm.rank == 0:
             log.warning(
                 "%s: each run has a mesh of its own, and on another number of ranks other numbers "
@@ -196,7 +196,7 @@ class Writer:
             )
         linear = V.ufl_element().degree == 1
         kind = V.mesh.topology.cell_name().capitalize() + ("" if linear else f"_{k}")
-        head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(count))
+        head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(total))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         return self._file.write((head, "cells", cells), (geometry, "points", x))
 
@@ -353,10 +353,10 @@ class File:
             written.setBlockSize(k)
         written.setName(key)
         self._together(lambda: written.view(viewer))
-        count = int(written.getSize()) // k
+        n = int(written.getSize()) // k
         written.destroy()
         about = {"NumberType": kind, "Precision": str(flat.itemsize), "Format": "HDF"}
-        item = ET.Element("DataItem", about, Dimensions=f"{count} {k}" if k > 1 else str(count))
+        item = ET.Element("DataItem", about, Dimensions=f"{n} {k}" if k > 1 else str(n))
         item.text = f"{self.data.name}:/{key}"
         return item
 
