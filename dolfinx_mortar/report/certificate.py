@@ -28,9 +28,8 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from dolfinx_mortar.solid.solid import Solid
 
-# Largest error without a note: of forces, by the work of rotations (6.4 % for 6.7 % between two
-# blocks) or half of the whole term (6 to 48 % for 5 to 35 % below a ball); in logarithmic strain
-# space of the stress norm (.02 for 2.7 % of the shear stress).
+# Largest error without a note: of forces, by the work of rotations or half of the whole term; in
+# logarithmic strain space of the stress norm (.02 for 2.7 % of the shear stress).
 LARGEST_SHARE = 0.02
 # of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7 degrees
 # have 1 %
