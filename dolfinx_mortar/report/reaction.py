@@ -57,9 +57,9 @@ def reaction(
         dm.reaction(problem, base).force
 
     R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, r = F(u) - f - c:
-    internal forces minus loads minus forces of contacts and ties. R acts on the bodies: in half a
-    model half the force, in the plane per thickness, of rings that of the whole ring. x is X + u
-    with a contact in updated geometry or at finite strain, otherwise X.
+    internal forces minus loads minus forces of contacts and ties. R acts on the bodies, in the
+    plane per thickness, of rings on the whole ring. x is X + u with a contact in updated geometry
+    or at finite strain, otherwise X.
 
     Args:
         problem: after a step.
