@@ -31,11 +31,11 @@ from dolfinx_mortar.common.spaces import CELLS
 from dolfinx_mortar.common.tags import names_of, tags_of
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import connect, facet_nodes
+from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
 
 __all__ = ["field", "mesh", "pressure"]
 
 SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
-NO_TAG = np.iinfo(np.int32).min
 File = str | os.PathLike[str] | None
 
 
@@ -76,15 +76,12 @@ def mesh(
         )
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, facet_tags=facet_tags)
     tdim = mesh.topology.dim
-    check_optional("cell_tags", cell_tags, tags_of(mesh, tdim))
     check_optional("facet_tags", facet_tags, tags_of(mesh, tdim - 1))
-    values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
-    if cell_tags is not None:
-        inside = cell_tags.indices < len(values)
-        values[cell_tags.indices[inside]] = cell_tags.values[inside]
+    owned = mesh.topology.index_map(tdim).size_local
+    values = np.full(owned, UNTAGGED) if cell_tags is None else tags_of_cells(mesh, cell_tags)
     V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh)))
     x = V.tabulate_dof_coordinates()
-    layers = [(gather_bodies(V, x, values, at_nodes=False), cell_tags)]
+    layers = [(gather_bodies(V, x, values[:owned], at_nodes=False), cell_tags)]
     if facet_tags is not None:
         layers.append((_gather_facets(V, x, facet_tags), facet_tags))
     to = file, view, ax
@@ -253,7 +250,7 @@ class Parts:
         self, tags: dmesh.MeshTags | None, colours: Sequence[str]
     ) -> Iterator[tuple[str, str, Parts]]:
         """Yield name, colour and parts of each tag, with colours repeated."""
-        names = {tag: name for name, tag in names_of(tags).items()} | {NO_TAG: "no tag"}
+        names = {tag: name for name, tag in names_of(tags).items()} | {UNTAGGED: "no tag"}
         for tag, colour in zip(np.unique(self.values), cycle(colours), strict=False):
             on = self.values == tag
             parts = replace(self, nodes=self.nodes[on], values=self.values[on])
