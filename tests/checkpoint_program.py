@@ -20,7 +20,7 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.output.xdmf import File
+from dolfinx_mortar.output.writer import File
 from dolfinx_mortar.persistence import checkpoints
 from tests.cases.pressed_blocks import PressedBlocks
 

@@ -11,7 +11,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx_mortar.output.xdmf
 from dolfinx import fem, mesh
 from dolfinx_mortar.output import Writer
 
@@ -270,8 +269,10 @@ def test_an_error_on_one_rank_is_raised_on_all(problem, path, monkeypatch):
 
 def test_the_space_asked_for_is_enough(path, monkeypatch, n=90):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
-    asked, files = [], dolfinx_mortar.output.xdmf
-    monkeypatch.setattr(files, "demand_space", lambda file, size: asked.append(size))
+    asked = []
+    monkeypatch.setattr(
+        "dolfinx_mortar.common.disk.demand_space", lambda file, size: asked.append(size)
+    )
     problem = Problem(n=(n, n))
     more = problem.fields["plane"]
     problem.output_fields = lambda: problem.fields | {f"c{i}": more for i in range(5)}

@@ -32,7 +32,7 @@ BELOW = {
     "interfaces": {"common", "algebra", "geometry", "mortar", "shapes"},
     "audit": {"common", "algebra", "geometry", "mortar", "interfaces", "solid"},
     "persistence": {"common", "algebra", "interfaces", "materials", "solid"},
-    "plotting": {"common", "algebra", "geometry", "interfaces", "mortar"},
+    "plotting": {"common", "algebra", "geometry", "interfaces", "mortar", "solid"},
     "problem": {
         *("common", "algebra", "mortar", "interfaces", "solid", "terms", "qp"),
         *("audit", "persistence"),

@@ -31,8 +31,8 @@ CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 def check_mesh(mesh: Mesh) -> None:
     """Raise a ValueError on all ranks for invalid cells; collective.
 
-    Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
-    that change sign, overlaps with neighbours. Unsupported kinds of cells are ignored.
+    Unsupported degree, NaN or infinite coordinates, no volume, Jacobians that change sign, overlaps
+    with neighbours. Unsupported kinds of cells are ignored.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:

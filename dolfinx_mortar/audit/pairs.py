@@ -116,19 +116,16 @@ def find_pairs(
         mesh: of all bodies.
         cell_tags: tags of all cells; names of `Tags` become those of the bodies.
         within: largest distance of a pair; default the diameter of the larger facet.
-        surface: see `Contact`, as the next ones.
+        surface: see `Contact`, as for `friction` and `tresca`.
         feature_angle: degrees between facets from which on an edge is sharp.
-        friction: Coulomb's coefficient.
-        tresca: limit of the tangential traction.
         show: whether rank 0 prints the table.
 
     Returns:
         A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
-        ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
-            invalid options; a single connected body; and if there is no pair, with the nearest
-            distance.
+        ValueError: on all ranks, for an invalid mesh, tags or options; a single connected body;
+            and if there is no pair, with the nearest distance.
     """
     check("mesh", mesh, instance(Mesh, "give a dolfinx.mesh.Mesh of all bodies"))
     given = {"within": within, "surface": surface, "feature_angle": feature_angle}

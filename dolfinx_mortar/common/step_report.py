@@ -31,7 +31,7 @@ class Timings:
 
 
 class Note(str):
-    """Observation of a step as text; ``why`` explains it and gives a remedy."""
+    """Observation of a step; ``why`` explains it and gives a remedy."""
 
     why: str
 
@@ -79,9 +79,8 @@ class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
     Forces: the largest external, contact, reaction or element force; lengths: the mean slave facet;
-    multipliers: the largest one, their forces the largest of these, resultants of patches the sum
-    of forces; tangential reactions: the largest friction limit, their energies limits times slips.
-    Small-strain errors are of the worst body.
+    multipliers: the largest one; tangential reactions: the largest friction limit, their energies
+    limits times slips. Small-strain errors are of the worst body.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -114,7 +113,7 @@ class Certificate:
     rotation: float = 0.0  # largest rotation, radians
     loads: float = 0.0  # missing share of the load of a bolt, tool or rigid side
     crossing: float = 0.0  # penetration without an interface, in facets
-    # at finite strain: moment at X + u of a body's internal forces, over forces times arms
+    # at finite strain: moment at X + u of internal forces, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at integration points, 1 for small strains
     energy_defect: float = 0.0  # of `time_steps`, see `Ledger`
@@ -124,7 +123,7 @@ class Certificate:
 class Ledger:
     """Energies of a motion at the end of a step, and works since its start.
 
-    Of the whole ring, or per thickness. Works by the trapezoidal rule, exact for linear bodies.
+    Of the whole ring, or per thickness. Works by the trapezoidal rule.
 
         kinetic + stored + dissipated + friction + damping = initial + loads + supports.
     """
@@ -141,8 +140,7 @@ class Ledger:
     defect: float = 0.0  # left minus right side, over the largest energy
     largest: float = 0.0  # largest of these energies and works
     owed: float = 0.0  # work given by contact, not yet restored
-    # (d,) on the slave side of each contact of problem.interfaces since the start, by the
-    # trapezoidal rule, with those that restored the energy; else None
+    # (d,) on the slave side of each contact since the start, with those that restored the energy
     impulses: list[list[float] | None] = field(default_factory=list)
 
     @property
@@ -295,8 +293,7 @@ class LoadStep:
 class NewtonNotConverged(RuntimeError):
     """Newton's method failed; ``report`` has the details.
 
-    Displacement and committed state are those before the failed step or part: retry with a smaller
-    one.
+    The problem is as before the failed step or part: retry with a smaller one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:

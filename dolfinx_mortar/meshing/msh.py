@@ -67,11 +67,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         comm: communicator of the mesh.
 
     Raises:
-        OSError: if the file is missing or cannot be read.
-        ValueError: if the file is damaged or no .msh file; if cells are in no physical group or
-            several, of several kinds or an unknown one; if a group is empty, or of no facets of
-            bodies.
-        RuntimeError: without gmsh. All on all ranks.
+        OSError: on all ranks, as the others, if the file cannot be read.
+        ValueError: if it is damaged or no .msh file; if cells are in no physical group or several,
+            of several kinds or an unknown one; if a group is empty, or of no facets of bodies.
+        RuntimeError: without gmsh.
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)

@@ -38,7 +38,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common import compat, disk
 from dolfinx_mortar.common.arguments import as_numbers
 from dolfinx_mortar.common.arrays import CHUNK, SAME, Floats, Longs
@@ -49,7 +49,6 @@ from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.materials.protocol import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
-    Gained,
     ProblemState,
     SupportForces,
     Walk,
@@ -82,7 +81,6 @@ def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
             i.resultants and {name: getattr(i.resultants, name) for name in RESULTANTS}
             for i in state.interfaces
         ],
-        "gained": committed.gained and (committed.gained.travel, committed.gained.duration),
         "found": [interface.state(False) for interface in state.interfaces],
     }
     values = {NODES: _at_nodes(state), POINTS: _at_points(state)}
@@ -156,8 +154,7 @@ class Saved:
         for name, f in {"displacement": state.solid.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
         for name, f in state.solid.points.lasting_fields().items():
-            known = name if name in points else name.replace("shown/", "committed/")
-            set_owned(f, points[known])
+            set_owned(f, points[name.replace("shown/", "committed/")])
         state.solid.forms.committed.forget()
         for k in range(len(state.interfaces)):
             self._put_results(k, nodes)
@@ -172,9 +169,6 @@ class Saved:
         committed.supports = committed.gained = None
         if "supports" in nodes:
             committed.supports = SupportForces(*np.split(nodes["supports"], 2, axis=1))
-        if about["gained"] is not None:
-            travel, duration = about["gained"]
-            committed.gained = Gained(nodes["gained"].flatten(), np.array(travel, float), duration)
         committed.begun, committed.level = about["begun"], about["level"]
         committed.walk = None if about["walk"] is None else Walk(**about["walk"])
         committed.walked, committed.brought = about["walked"], len(self.steps)
@@ -212,8 +206,6 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
     found["active"] = committed.active[:, None].astype(float)
     if state.system.has_friction and committed.sliding is not None:
         found["sliding"] = committed.sliding
-    if committed.gained is not None:
-        found["gained"] = committed.gained.by.reshape(u.shape)
     if (paired := committed.paired) is not None and len(paired):
         found["paired"] = paired.reshape(u.shape)
     if (supports := committed.supports) is not None:
@@ -231,13 +223,10 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
-    fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
-    for name in [name for name in fields if name.startswith("shown/")]:
-        differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
-        if not any_rank(state.comm, differs)[0]:
-            del fields[name]
+    fields = state.solid.points.lasting_fields().items()
+    found = {name: _owned(f) for name, f in fields if not name.startswith("shown/")}
     places = find_places(state.solid.stress.function_space)
-    return {PLACES: places, "material": material_numbers(state.solid)} | fields
+    return {PLACES: places, "material": material_numbers(state.solid)} | found
 
 
 def _owned(f: fem.Function) -> Floats:
@@ -458,7 +447,7 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
     wrong = np.concatenate(comm.allgather(own[hits != 1, : own.shape[1] // 2]))
     if not len(wrong):
         return ""
-    where = ", ".join(f"{v:.6g}" for v in wrong[0])
+    where = ", ".join(f"{v:.6g}" for v in min(wrong.tolist()))
     return (
         f"{len(wrong)} of {total} are in the checkpoint not at all, or more than once, such as "
         f"that at ({where})"

@@ -189,14 +189,9 @@ def note_on_facets(
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
     nodes; with smooth surfaces of degree 1 `missed_heights`. K^_jj h_j is compared with the contact
-    forces z_j, at loaded nodes and those with gaps below h_j. A uniform h_j counts two to four
-    times, a soft master is taken for a stiff one.
+    forces z_j, at loaded nodes and those with gaps below h_j.
     Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
-    F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
-
-    Args:
-        forces: (owned nodes,) of contact.
-        stiffness: (owned nodes,) K^_jj.
+    F'/F), F' the force of the smooth surface. Forces and stiffness K^_jj are (owned nodes,).
     """
     comm, k, z = problem.comm, stiffness[link.nodes], forces[link.nodes]
     on, meshed = z > 0.0, link.pairing is not None

@@ -43,9 +43,8 @@ from dolfinx_mortar.problem.problem import ContactProblem
 SUNK = 0.05
 """Share of the size of a facet up to which sides may lie in each other without a note.
 
-In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is
-.04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
-pressed.
+In 280 steps of the tests it is .04 at most, apart from the sagittas of facets; a corner between
+nodes penetrates as far as it is pressed.
 """
 MEAN = (
     "Gaps are means over facets of the slave, of those at X with geometry='reference': let the "
@@ -161,8 +160,7 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
-    facets count as flat.
+    Minus jumps of ties, and sagittas of both sides.
     """
     links, comm = problem.system.links, problem.comm
     itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)

@@ -27,11 +27,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and this
         rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger" of
         `time_steps`, else None; "forces" on the slave side of each interface; "reactions", "force"
-        and "moment" about the origin of each of ``problem.bcs``. A step made by hand lacks the last
-        two.
-
-    Raises:
-        ValueError: for other objects.
+        and "moment" about the origin of each of ``problem.bcs``.
     """
     check("step", step, instance(LoadStep, "give a LoadStep, such as load_steps yields"))
     parts, last = step.parts, step.report.as_dict()
@@ -69,9 +65,7 @@ def write_summary(
         steps: rows such as those of ``summarise``.
         more: further entries.
 
-    Raises:
-        ValueError: on all ranks, for invalid arguments.
-        OSError: on all ranks, if the file cannot be written.
+    Errors are raised on all ranks.
     """
     check_problem(problem, ContactProblem)
     path = check_path(problem.comm, path)

@@ -142,13 +142,17 @@ def find_bodies(
 
 def with_ties(bodies: Bodies, ties: Sequence[Bools]) -> Bodies:
     """Bodies grouped by ties, each the mask (local nodes,) of its two sides; collective."""
-    n = len(bodies.label)
-    touched = np.zeros((len(ties), bodies.count))
-    for k, tie in enumerate(ties):
-        touched[k, bodies.label[tie[:n]]] = 1.0
-    touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)
+    touched = bodies_of(bodies, ties)
     _, group = scipy.sparse.csgraph.connected_components(touched.T @ touched, directed=False)
     return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))
+
+
+def bodies_of(bodies: Bodies, masks: Sequence[Bools]) -> Floats:
+    """Ranks (masks, bodies) on which masks (local nodes,) have nodes of bodies; collective."""
+    touched = np.zeros((len(masks), bodies.count))
+    for k, mask in enumerate(masks):
+        touched[k, bodies.label[mask[: len(bodies.label)]]] = 1.0
+    return np.asarray(bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM))
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
