@@ -96,7 +96,7 @@ def test_a_limit_load_is_named():
         pull.value[1] = 10.0 * t  # plane strain: the limit is 10 times 2 / sqrt(3)
 
     reached = []
-    with failing(problem, "limit load", "flows in 100 %", "[0.5, 0.5]") as caught:
+    with failing(problem, "limit load", "100 % of the volume flows") as caught:
         for step in dm.load_steps(problem, [1.0, 2.0], on_time=on_time):
             reached.append(step.time)
     assert reached == [1.0] and "moves away" not in problem.diagnose()[-1]
