@@ -89,8 +89,9 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
     travel, held = share * gained.travel, problem.supports.owned.ravel()
     by = np.where(held, target - problem.owned_u, share * gained.by)
     problem.move(problem.owned_u + flows.repeat(problem.d) * by)
-    for tool, end in zip(driven, np.cumsum(counts), strict=True):
-        tool.move(travel[end - len(tool.names) : end])
+    parts = np.split(travel, np.cumsum(counts, dtype=int))[:-1]
+    for tool, own in zip(driven, parts, strict=True):
+        tool.move(own)
     return travel
 
 

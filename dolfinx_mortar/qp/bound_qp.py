@@ -13,7 +13,7 @@ or z_t = q min(1, s / |q|) with q = z_t + c (x_t - rest), c > 0. Linearised with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 from mpi4py import MPI
@@ -66,7 +66,7 @@ class Friction:
 
     def select(self, mask: Bools) -> Friction:
         """Some of the nodes."""
-        return Friction(*(getattr(self, field.name)[mask] for field in fields(self)))
+        return Friction(*(part[mask] for part in vars(self).values()))
 
     def put(self, values: Floats, parts: Floats) -> None:
         """Set the tangential components of vectors."""

@@ -219,17 +219,13 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _describe(found: Passing, master: bool) -> str:
-    at = [float(f"{x:.4g}") for x in found.place]
-    if found.surface is None and not found.count:
-        return (
-            f"the tool has passed through the side, as has its point, which began around {at}; no "
-            f"step may bring that point, {found.depth:.3g} deep in the tool, into the body"
-        )
-    who, into = "the side has passed through the tool", "tool"
+    who = "the side has passed through the tool"
     if found.surface is not None:
-        side, into = "master" if master else "slave", "other body"
-        who = f"the {side} side has passed through the other one"
+        who = f"the {'master' if master else 'slave'} side has passed through the other one"
+    elif not found.count:
+        who = "the tool has passed through the side"
+    at = [float(f"{x:.4g}") for x in found.place]
     return (
-        f"{who}, at {found.count} facets, such as the one that began around {at}; no step may "
-        f"bring the middle of the body, {found.depth:.3g} behind that facet, into the {into}"
+        f"{who}, by more than {found.depth:.3g} in one step, such as where it began around {at}: "
+        "take smaller steps"
     )

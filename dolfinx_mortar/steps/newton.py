@@ -78,7 +78,8 @@ def newton(
     from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj (w_n -
     gap)_+, with s twice the largest multiplier, shortens the step, except for laws without energy.
     With geometry="updated" normals, segments, D and M are computed in every iteration, and their
-    derivatives are part of the tangent where that converges faster.
+    derivatives are part of the tangent where that converges faster. For multigrid that fails see
+    `load_steps`.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -139,6 +140,7 @@ def solve_step(
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # maybe on one rank only: no communication
                 problem.undo(before)
+                linear.options.multigrid = multigrid
                 linear.abandon()
                 raise
     finally:

@@ -89,7 +89,7 @@ class Run:
         check_problem(problem, ContactProblem)
         check_same_on_all_ranks(problem.comm, on_time=on_time)
         self.problem, self.progress, self.every, self.newton = problem, progress, every, newton
-        self.levels = check_load_steps(times, start, max_cuts, cuts, problem.comm)
+        self.levels = check_load_steps(problem.comm, times, start, max_cuts, cuts)
         self.begin = problem.committed.level if start is None else float(start)
         self.ramps = read_ramps(problem.comm, ramp)
         self.on_time: Callable[[float], Any] | None = check_optional(
@@ -352,7 +352,7 @@ def load_steps(
 
     A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed,
     as plasticity depends on the load path. An initial overlap of the sides is removed in the same
-    parts. If multigrid fails, this step and all later ones use a factorisation (unless
+    parts. If multigrid fails, the rest of the step and all later ones use a factorisation (unless
     ``petsc_options`` choose a method, or beyond 200 000 unknowns); a note says so.
 
     Args:
