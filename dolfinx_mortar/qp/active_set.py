@@ -185,6 +185,7 @@ def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
             reason = f"an active set could not be solved ({error})"
             outcome = Outcome(first, 0, reason)
             first = State.create(problem.qp, nearest(problem.qp))
-            problem.forget()
+            problem.x.set(0.0)
+            problem.z = problem.qp.b.copy()
         level = TIGHT
     return outcome

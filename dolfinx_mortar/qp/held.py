@@ -184,11 +184,6 @@ class HeldProblem:
         self.error = np.inf
         self.level = LOOSE  # of the last solve
 
-    def forget(self) -> None:
-        """Start again from x = 0, after a failed solve."""
-        self.x.set(0.0)
-        self.z = self.qp.b.copy()
-
     def hold(self, state: State, level: int, worst: bool = False) -> Found:
         """Solve in a state, updating only the largest errors if `worst`; set x and z (collective).
 

@@ -219,13 +219,13 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _describe(found: Passing, master: bool) -> str:
-    who = "the side has passed through the tool"
+    who, many = "the side has passed through the tool", f" at {found.count} facets"
     if found.surface is not None:
         who = f"the {'master' if master else 'slave'} side has passed through the other one"
-    elif not found.count:
-        who = "the tool has passed through the side"
+    elif not found.count:  # a point of the tool
+        who, many = "the tool has passed through the side", ""
     at = [float(f"{x:.4g}") for x in found.place]
     return (
-        f"{who}, by more than {found.depth:.3g} in one step, such as where it began around {at}: "
-        "take smaller steps"
+        f"{who}{many}, by more than {found.depth:.3g} in one step, such as where it began around "
+        f"{at}: take smaller steps"
     )
