@@ -154,7 +154,7 @@ DIFFERENT = [
     ("times", walked(times=[1.0, 2.0][HERE:])),
     ("max_cuts", walked(max_cuts=int(HERE))),
     (
-        "ramp: table 1",
+        "ramp[0][1]",
         lambda c: walked(ramp={c.top: [(0.0, (0.0, 0.0)), (1.0, (0.0, -0.01 - HERE))]})(c),
     ),
     ("within", lambda c: c.problem([c.tie(within=1.0 + HERE)])),

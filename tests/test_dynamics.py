@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.steps.time_steps import TimeSolves
+from dolfinx_mortar.steps.walk import Run
 from dolfinx_mortar.terms import mass
 from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.moving_bodies import Bar, Blocks
@@ -226,14 +226,14 @@ def test_a_load_put_on_at_rest_leaves_no_defect(damping, least):
 
 def test_a_start_without_equilibrium_is_noted(monkeypatch):
     """Of the nodes without mass, which nothing can settle; the motion begins all the same."""
-    solve = TimeSolves._solve
+    solve = Run.to
 
-    def fails(self, level, linear):
+    def fails(self, level):
         if level.time < 0.01:
             raise dm.NewtonNotConverged("no equilibrium", None)
-        return solve(self, level, linear)
+        return solve(self, level)
 
-    monkeypatch.setattr(TimeSolves, "_solve", fails)
+    monkeypatch.setattr(Run, "to", fails)
     case = Blocks(gravity=9.81, guided=True)
     first, second = dm.time_steps(case.problem, [0.01, 0.02], progress=False)
     said = "no equilibrium with the loads of the start (no equilibrium)"

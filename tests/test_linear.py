@@ -186,15 +186,15 @@ def test_multigrid_after_a_set_up_that_failed(indefinite):
         ({"pc_type": "no_such_type"}, "no_such_type"),
         ({"pc_factor_mat_solver_type": "no_such_package"}, "no_such_package"),
         ({"ksp_rtol": "small"}, "small"),
-        ({"ksp_max_it": [3]}, r"value \[3\] of 'ksp_max_it'"),
-        ({3: "cg"}, "key 3"),
+        ({"ksp_max_it": [3]}, r"'ksp_max_it': \[3\]"),
+        ({3: "cg"}, "3: 'cg'"),
         ({"-pc_type": "lu"}, "no dash"),
-        ("pc_type lu", "str, not a dictionary"),
+        ("pc_type lu", "give a dictionary"),
     ],
 )
 def test_options_that_cannot_work_are_refused_at_once(options, message, database):
     before = database.getAll()
-    with pytest.raises(ValueError, match=f"petsc_options: .*{message}"):
+    with pytest.raises(ValueError, match=f"petsc_options.*{message}"):
         LinearSolver(COMM, prefix="refused_", options=options)
     assert database.getAll() == before
 
@@ -202,7 +202,7 @@ def test_options_that_cannot_work_are_refused_at_once(options, message, database
 @pytest.mark.mpi
 def test_options_wrong_on_one_rank_are_refused_on_all():
     last = COMM.rank == COMM.size - 1
-    with pytest.raises(ValueError, match="no_such_type" if last else "another rank"):
+    with pytest.raises(ValueError, match="no_such_type" if last else "on rank"):
         check_options(COMM, "one_", {"pc_type": "no_such_type" if last else "lu"})
 
 

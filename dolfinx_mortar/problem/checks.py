@@ -82,12 +82,11 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
 
 
 def check_load_steps(
-    times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
+    comm: MPI.Comm, times: Any, start: Any, max_cuts: Any, cuts: Any
 ) -> list[float]:
     """Checked load levels, see `load_steps`; collective."""
     levels = _unrolled(times)
-    if comm is not None:
-        check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
+    check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
     for level in check("times", levels, instance(list, "give a list of levels, [1.0] for one")):
         check("times: a level", level, NUMBER)
     check_optional("start", start, number("the finite level of the committed state"))

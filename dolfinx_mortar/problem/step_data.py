@@ -4,12 +4,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import largest, maximum
 from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -40,13 +38,12 @@ def check_jumps(system: InterfaceSystem) -> None:
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
             continue
-        bad = comm.allreduce(int(np.sum(~np.isfinite(apart))), op=MPI.SUM)
+        bad = comm.allreduce(int(np.sum(~np.isfinite(apart))))
         if bad:
             raise ValueError(
                 f"jump: {bad} values of {interface} are NaN or infinite; check its data"
             )
-        longest = float(maximum(comm, np.abs(apart).max(initial=0.0))[0])
-        if longest > (size := diagonal(V)):
+        if (longest := largest(comm, apart)) > (size := diagonal(V)):
             raise ValueError(
                 f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
                 f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "

@@ -314,7 +314,9 @@ def find_notes(end: StepEnd) -> list[str]:
     notes = [note for diagnose in DIAGNOSES for note in diagnose(end)]
     if end.problem.comm.rank == 0:
         for note in notes:
-            if end.problem.is_new(_kind(note, [repr(i) for i in end.problem.interfaces])):
+            kind = _kind(note, [repr(i) for i in end.problem.interfaces])
+            if kind not in end.problem.logged:
+                end.problem.logged.add(kind)
                 more = "; problem.diagnose() says more" * hasattr(note, "why")
                 log.warning("%s%s", note, more)
     return notes
