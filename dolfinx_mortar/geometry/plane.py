@@ -308,22 +308,25 @@ def slopes(P, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
+def are_apart(P, Q, distance):  # type: ignore[no-untyped-def]
+    """Whether an edge of one projected facet has all of the other beyond a distance."""
+    p, q = len(P), len(Q)
+    one, other = orientation(P, p), orientation(Q, q)
+    return (one != 0 and is_beside(P, p, Q, q, one, distance)) or (
+        other != 0 and is_beside(Q, q, P, p, other, distance)
+    )
+
+
+@numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    near = np.ones(len(pairs), dtype=np.bool_)
-    k, n = x_s.shape[1], x_m.shape[1]
-    S, M = np.empty((k, 3)), np.empty((n, 3))
+    near = np.empty(len(pairs), dtype=np.bool_)
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for p in range(len(pairs)):
         s = pairs[p, 0]
         if p == 0 or s != pairs[p - 1, 0]:
             project(x_s[s], centre[s], axes[s], S)
-            convex = orientation(S, k)
         project(x_m[pairs[p, 1]], centre[s], axes[s], M)
-        reach = margin[s] / radius[s] + HALF_OF_DIGITS
-        sign = orientation(M, n)
-        if convex != 0 and is_beside(S, k, M, n, convex, reach):
-            near[p] = False
-        elif sign != 0 and is_beside(M, n, S, k, sign, reach):
-            near[p] = False
+        near[p] = not are_apart(S, M, margin[s] / radius[s] + HALF_OF_DIGITS)
     return near
 
 
