@@ -327,7 +327,7 @@ def find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -
     """Where facets of pairs (p, 2) overlap."""
     parts = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
-    planes = create_planes(parts[0].x)
+    planes = create_planes(parts[0])
     limits = deepest[of] / planes[2][pairs[:, 0]]  # lengths in the planes are relative
     found = _triangulate(parts[0].x, parts[1].x, pairs, limits, *planes[:2])
     return Overlaps(slave, master, parts, pairs, of, planes, *found)

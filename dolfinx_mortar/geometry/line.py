@@ -194,7 +194,7 @@ def moments(
         w[..., 0],
         (factor[on], reach[on]),
         slave,
-        [v[which] if len(v) else v for v in heights],
+        [v[which] for v in heights],
         np.eye(m)[place[which]],
     )
     is_end = np.zeros((len(x), m), dtype=bool)

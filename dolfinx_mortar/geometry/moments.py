@@ -316,7 +316,7 @@ def _create(
         weight.reshape(shape[:2]),
         (sides.factor[facet], sides.reach[facet]),
         slave.element,
-        [v[pair] if len(v) else v for v in heights],
+        [v[pair] for v in heights],
     )
     k = slave.x.shape[1]
     own = np.broadcast_to(np.arange(k), (len(which), k))

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -226,15 +226,14 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     return False
 
 
-def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
+def create_planes(facets: Facets) -> tuple[Floats, Floats, Floats]:
+    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets.
 
     Rows of the axes are two tangents and the normal, over the radius.
     """
-    centre, radius = bounding_balls(x)
-    radius = np.maximum(radius, TINY)
-    n = unit(np.asarray(np.cross(x[:, 2] - x[:, 0], x[:, -1] - x[:, 1]), dtype=np.float64))
-    first = x[:, 1] - x[:, 0]
+    centre, radius = bounding_balls(facets.x)
+    radius, n = np.maximum(radius, TINY), facet_normals(facets)
+    first = facets.x[:, 1] - facets.x[:, 0]
     first = unit(first - (first * n).sum(axis=1)[:, None] * n)
     return centre, np.stack([first, np.cross(n, first), n], axis=1) / radius[:, None, None], radius
 
@@ -335,5 +334,5 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
-    near = _are_near(a.x, b.x, of_parts, *create_planes(a.x), margins)
+    near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
     return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)

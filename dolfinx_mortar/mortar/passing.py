@@ -221,16 +221,11 @@ def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Float
         >>> _enter(ways, np.full(2, 0.02), lambda x: np.hypot(*x.T) - 0.01).tolist()
         [True, False]
     """
-    reach = distance(ways[0])  # lower bounds
-    inside, outside = reach < 0.0, reach > 0.0
-    for a, b in pairwise(ways):
-        before, reach = reach, reach - np.linalg.norm(b - a, axis=1)
-        some = np.flatnonzero((reach < 0.0) & ~inside)
-        if some.size:
-            reach[some] = distance(b[some])
-            ends = (a[some], b[some]), (before[some], reach[some])
-            inside[some] = _cross(*ends, least[some], distance)
-    return inside & outside
+    phi = [distance(x) for x in ways]
+    inside, outside = phi[0] < 0.0, phi[0] > 0.0
+    for ends, distances in zip(pairwise(ways), pairwise(phi), strict=True):
+        inside |= _cross(ends, distances, least, distance)
+    return np.asarray(inside & outside)
 
 
 def _cross(
