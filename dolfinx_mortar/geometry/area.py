@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from dolfinx_mortar.common.arrays import SAME, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls
+from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
+    are_apart,
     coefficients,
     copy,
     count,
@@ -65,19 +66,11 @@ def _depth(S, M, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _overlap(P, Q):  # type: ignore[no-untyped-def]
-    p, q = P.shape[0], Q.shape[0]
-    # overlaps as narrow as a thin polygon do not count
-    if is_beside(P, p, Q, q, orientation(P, p), -64 * ROUND_OFF):
-        return False
-    return not is_beside(Q, q, P, p, orientation(Q, q), -64 * ROUND_OFF)
-
-
-@numba.njit(**KERNEL)
 def _is_hidden(S, M, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
     """Whether facet j hides facet i, consistently in i and j."""
     a, b = min(i, j), max(i, j)
-    if a == b or not _overlap(M[a], M[b]):
+    # overlaps as narrow as a thin polygon do not count
+    if a == b or are_apart(M[a], M[b], -64 * ROUND_OFF):
         return False
     n = M.shape[1]
     size = intersect(pieces[a], sizes[a], M[b], n, orientation(M[b], n), common, spare)
@@ -98,17 +91,8 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
-    x = y = square = 0.0
-    for i in range(3):
-        offset, along = middle[i] - centre[i], axes[0, i]
-        x, y, square = x + along * offset, y + axes[1, i] * offset, square + along**2
-    return x * x + y * y > (1.0 + radius * np.sqrt(square)) ** 2
-
-
-@numba.njit(**KERNEL)
 def _clip(  # type: ignore[no-untyped-def]
-    S, x_m, balls, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
+    S, x_m, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
     """Fill one slave facet's M, pieces, sizes and row (pair); return the count."""
     spare = np.empty((VERTICES, 2))
@@ -117,10 +101,8 @@ def _clip(  # type: ignore[no-untyped-def]
     if orientation(S, k) <= 0:
         return 0  # folded: no inverse map
     for r in range(first, last):
-        P, m = M[count], pairs[r, 1]
-        if _is_far(balls[0][m], balls[1][m], centre, axes):
-            continue
-        project(x_m[m], centre, axes, P)
+        P = M[count]
+        project(x_m[pairs[r, 1]], centre, axes, P)
         sign = orientation(P, n)
         if sign == 0 or is_beside(P, n, S, k, sign, 0.0):
             continue
@@ -178,14 +160,14 @@ def _subtract(Q, which, corners, first, t, pair):  # type: ignore[no-untyped-def
 
 
 @numba.njit(**KERNEL)
-def _split(S, x_m, balls, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
+def _split(S, x_m, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
     """Append one slave facet's triangles; return the arrays, and if masters hide others."""
     n, hidden = last - first, False
     M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
     pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
     c, a = centre, axes
-    n = _clip(S, x_m, balls, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
+    n = _clip(S, x_m, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
     for i in range(n):
         start = t
         which, corners, t = _append_fan(pieces[i], sizes[i], which, corners, t, row[i])
@@ -197,7 +179,7 @@ def _split(S, x_m, balls, pairs, deepest, first, last, centre, axes, which, corn
 
 
 @numba.njit(**KERNEL)
-def _triangulate(x_s, x_m, balls, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
+def _triangulate(x_s, x_m, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
     """Pairs (t,) and corners (t, 3, 2) of triangles, and where masters hide others."""
     p, hidden = len(pairs), np.zeros(len(x_s), np.bool_)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
@@ -209,7 +191,7 @@ def _triangulate(x_s, x_m, balls, pairs, deepest, centre, axes):  # type: ignore
             last += 1
         project(x_s[s], centre[s], axes[s], S)
         at = first, last, centre[s], axes[s]
-        which, corners, t, hidden[s] = _split(S, x_m, balls, pairs, deepest, *at, which, corners, t)
+        which, corners, t, hidden[s] = _split(S, x_m, pairs, deepest, *at, which, corners, t)
     return which[:t], corners[:t], hidden
 
 
@@ -345,9 +327,9 @@ def find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -
     """Where facets of pairs (p, 2) overlap."""
     parts = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
-    planes, x = create_planes(parts[0].x), parts[1].x
+    planes = create_planes(parts[0])
     limits = deepest[of] / planes[2][pairs[:, 0]]  # lengths in the planes are relative
-    found = _triangulate(parts[0].x, x, bounding_balls(x), pairs, limits, *planes[:2])
+    found = _triangulate(parts[0].x, parts[1].x, pairs, limits, *planes[:2])
     return Overlaps(slave, master, parts, pairs, of, planes, *found)
 
 

@@ -73,7 +73,7 @@ def one_ring_sums(
     if n is not None and K is not None:
         corners = np.array(facets.element.vertices)
         ahead, behind = (_projected(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
-    ahead, behind = _inverted(ahead), _inverted(behind)
+    ahead, behind = (_divided(e, (e**2).sum(axis=2)) for e in (ahead, behind))
     normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)
     middles = facets.element.nodes - x.shape[1]  # mid-side nodes have the facet's normal
     flat = np.repeat(facet_normals(facets)[:, None], middles, axis=1)
@@ -95,10 +95,6 @@ def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
-
-
-def _inverted(e: Floats) -> Floats:
-    return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:

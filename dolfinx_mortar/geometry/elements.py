@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 import basix
 from dolfinx_mortar.common.arrays import Floats
@@ -124,7 +125,7 @@ _SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
     """Gauss points and weights, sum 1."""
-    points, weights = np.polynomial.legendre.leggauss(n)
+    points, weights = leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
     return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 

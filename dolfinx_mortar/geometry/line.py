@@ -7,17 +7,17 @@ are clipped as parabolas a + b xi + c xi^2, not as chords.
 """
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.legendre import leggauss
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, turns
+from dolfinx_mortar.geometry.moments import Sides, Sums, create_points
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 
@@ -179,7 +179,7 @@ def moments(
     x, n, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
     slave, master = types
-    (k, m), (t, weights) = (x.shape[1], y.shape[1]), gauss_points(_count(*types))
+    (k, m), (t, weights) = (x.shape[1], y.shape[1]), leggauss(_count(*types))
     of = pairs[:, 0]
     Y = y[of[:, None], place]
     kinds = (slave, x), (slave, n), (master, Y)
@@ -193,8 +193,8 @@ def moments(
         (x[on], Y[which]),
         w[..., 0],
         (factor[on], reach[on]),
-        turns(slave, x[on]),
-        [v[which] if len(v) else v for v in heights],
+        slave,
+        [v[which] for v in heights],
         np.eye(m)[place[which]],
     )
     is_end = np.zeros((len(x), m), dtype=bool)
@@ -249,17 +249,6 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     return np.asarray(element.table[:, ::3].T @ v)
 
 
-@cache
-def gauss_points(n: int) -> tuple[Floats, Floats]:
-    """Gauss points on [-1, 1] and their n weights, sum 2; read only.
-
-    >>> gauss_points(1)[0].tolist(), gauss_points(1)[1].tolist()
-    ([0.0], [2.0])
-    """
-    points, weights = np.polynomial.legendre.leggauss(n)
-    return points, weights
-
-
 def _count(slave: FacetElement, master: FacetElement) -> int:
     return 2 * max(slave.degree, master.degree) + 1
 
@@ -283,6 +272,6 @@ def place_points(
     x_m = _polynomials(master.element, master.x)
     corners = np.ascontiguousarray(master.x[:, master.element.vertices])
     which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
-    points, weights = gauss_points(_count(slave.element, master.element))
+    points, weights = leggauss(_count(slave.element, master.element))
     xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
     return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area
@@ -135,7 +136,7 @@ def create_points(
     nodes: tuple[Floats, Floats],
     weight: Floats,
     given: tuple[Floats, Floats],
-    tilts: tuple[Floats, Floats],
+    element: FacetElement,
     heights: Sequence[Floats],
     spread: Floats | None = None,
 ) -> Points:
@@ -147,7 +148,7 @@ def create_points(
         nodes: (s, k, d) and (s, l, d).
         weight: (s, q) areas on the slave, or lengths.
         given: nodal weights (s, k); reach (s, 2) of `Segments`, or (s, 0).
-        tilts: `turns` of the slave facets.
+        element: of the slave.
         heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
         spread: (s, l, m) the master's nodes among m.
     """
@@ -169,7 +170,7 @@ def create_points(
     by_m, by_x = np.zeros_like(by_s), np.swapaxes(dN, 2, 3) @ dual
     by_y = np.zeros((*M.shape, x.shape[2]))
     if reach.size:
-        n, g = tilts
+        n, g = turns(element, x)
         part = 1.0 - reach[:, 1:] * ((apart @ n[:, :, None])[..., 0] - reach[:, :1])
         rate = -reach[:, 1:] / np.where((part > 0.0) & (part < 1.0), part, np.inf)
         fall, weight = rate[..., None] * n[:, None], weight * np.clip(part, 0.0, 1.0)
@@ -254,28 +255,19 @@ def moments_in_space(
     x, y, pairs, (slave, master) = sides.x, sides.y, sides.pairs(), types
     others = Facets(master, y[pairs[:, :1], sides.place])
     over = find_overlaps(Facets(slave, x), others, pairs, sides.deepest)
-    given = _Given(over, sides, heights, turns(slave, x), _frames(over))
     degree = area.degree_of_moments(slave, master, heights[0].size > 0)
-    points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
+    points, weights = leggauss((degree + 3) // 2)
     t, rule = (1.0 + points) / 2, triangle_rule(degree)
     line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
-    inner = _create(given, over.which, over.corners, areas(over.corners), rule)
+    inner = _create(over, sides, heights, over.which, over.corners, areas(over.corners), rule)
     _add_inner(over, inner, found)
     edges = _find_edges(*over.of_planes, over.hidden)
     ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
     which, one = over.which[edges[:, 0]], np.ones(len(edges))
-    crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
-    ids = _nodes_of_lines(given, edges[:, 2], edges[:, 3:] + [0, 1])
+    crossing = _create(over, sides, heights, which, ends[:, [0, 1, 1]], one, line)
+    ids = _nodes_of_lines(over, sides, edges[:, 2], edges[:, 3:] + [0, 1])
     lines = nodes[crossing.facet[:, None], ids]
     _add_edges(over, crossing, lines, ends, t, ids, found)
-
-
-class _Given(NamedTuple):
-    over: Overlaps
-    sides: Sides
-    heights: Sequence[Floats]
-    tilts: tuple[Floats, Floats]  # of the slave facets
-    frames: tuple[Floats, ...]  # see `_frames`
 
 
 class _OfPairs(NamedTuple):
@@ -288,7 +280,9 @@ class _OfPairs(NamedTuple):
     pair: Ints  # (s,)
     nodes: Longs  # (s, k + l) of both facets, slave's first
     x: Floats  # (s, k + l, 3) relative to the centre of the part
-    frame: tuple[Floats, ...]  # see `_frames`
+    u: Floats  # (s, 2, 3) axes of the part's plane
+    n: Floats  # (s, 3) its normal
+    g: Floats  # (s, k, 3) see `turns`
 
     def columns(self, found: Sums) -> Longs:
         """Columns (s, k + l + 1) of the points' functions and heights among the moments."""
@@ -297,42 +291,49 @@ class _OfPairs(NamedTuple):
 
 
 def _create(
-    given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
+    over: Overlaps,
+    sides: Sides,
+    heights: Sequence[Floats],
+    which: Longs,
+    corners: Floats,
+    size: Floats,
+    rule: tuple[Floats, Floats],
 ) -> _OfPairs:
     """Points of a rule on triangles (s, 3, 2); weight 0 off the master."""
-    over, tilts = given.over, given.tilts
-    slave, master, a = over.slave, over.master, count(over.slave.element)
+    slave, master, planes = over.slave, over.master, over.planes
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
     _, xi_s, xi_m, weight = over.place(which, corners, size, first, (*rule, np.array([0, q])))
     part, shape = over.pairs[which, 0].astype(np.int64), (len(which), q, 2)
     lost = np.isnan(xi_m[:, 0])
     xi_m[lost], weight[lost] = 0.0, 0.0
     xi_s, xi_m = (v.reshape(shape) for v in (xi_s, xi_m))
-    facet, pair = part // a, over.of[which]
+    facet, pair = part // count(slave.element), over.of[which]
     nodes = slave.x[facet], master.x[pair]
     points = create_points(
         slave.element.functions(xi_s),
         master.element.functions(xi_m)[:2],
         nodes,
         weight.reshape(shape[:2]),
-        (given.sides.factor[facet], given.sides.reach[facet]),
-        (tilts[0][facet], tilts[1][facet]),
-        [v[pair] if len(v) else v for v in given.heights],
+        (sides.factor[facet], sides.reach[facet]),
+        slave.element,
+        [v[pair] for v in heights],
     )
     k = slave.x.shape[1]
     own = np.broadcast_to(np.arange(k), (len(which), k))
-    which = np.concatenate([own, k + given.sides.place[pair]], axis=1)
-    x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
-    frame = tuple(v[part] for v in given.frames)
-    return _OfPairs(points, xi_s, part, facet, pair, which, x, frame)
+    which = np.concatenate([own, k + sides.place[pair]], axis=1)
+    x = np.concatenate(nodes, axis=1) - planes[0][part][:, None]
+    n, g = turns(over.parts[0].element, over.parts[0].x[part])
+    u = planes[1][part, :2] * planes[2][part, None, None]
+    g = np.swapaxes(_scattered(slave.element, part), 1, 2) @ g
+    return _OfPairs(points, xi_s, part, facet, pair, which, x, u, n, g)
 
 
-def _nodes_of_lines(given: _Given, pair: Longs, corners: Longs) -> Longs:
+def _nodes_of_lines(over: Overlaps, sides: Sides, pair: Longs, corners: Longs) -> Longs:
     """Nodes (s, 2) of edges of masters."""
-    over, element = given.over, given.over.master.element
+    element = over.master.element
     nodes = np.array(element.sub_facets)[over.pairs[pair, 1] % count(element)]
     ends = np.take_along_axis(nodes, corners % nodes.shape[1], axis=1)
-    places = np.take_along_axis(given.sides.place[over.of[pair]], ends, axis=1)
+    places = np.take_along_axis(sides.place[over.of[pair]], ends, axis=1)
     return over.slave.x.shape[1] + places
 
 
@@ -341,14 +342,6 @@ def _oblique(V: Floats, n: Floats) -> Floats:
     first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
     size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
     return np.stack([first, second], axis=2) / size
-
-
-def _frames(over: Overlaps) -> tuple[Floats, ...]:
-    """Axes u (p, 2, 3) and normals n (p, 3) of planes, and g (p, k, 3), see `turns`."""
-    axes = over.planes[1] * over.planes[2][:, None, None]
-    _, g = turns(over.parts[0].element, over.parts[0].x)
-    every = np.arange(len(axes))
-    return axes[:, :2], axes[:, 2], np.swapaxes(_scattered(over.slave.element, every), 1, 2) @ g
 
 
 def _scattered(element: FacetElement, part: Longs) -> Floats:
@@ -368,7 +361,7 @@ def _add_inner(over: Overlaps, inner: _OfPairs, found: Sums) -> None:
 
     Points h n above them, on the master, move by G (dx_s + h dn - dx_m) in its coordinates.
     """
-    at, (_, n, g), (s, q, k) = inner.at, inner.frame, inner.at.N.shape
+    at, n, g, (s, q, k) = inner.at, inner.n, inner.g, inner.at.N.shape
     G, h = _oblique(at.U, n[:, None]), at.apart @ n[:, :, None]
     by = np.empty((s, q, 2, inner.nodes.shape[1], 3))
     by[..., :k, :] = at.N[:, :, None, :, None] * G[..., None, :]
@@ -398,7 +391,8 @@ def _add_edges(
 
     Relative to the slave's part, by dx_m - dx_s - h dn.
     """
-    at, (u, n, g), part, k = inner.at, inner.frame, inner.part, inner.at.N.shape[2]
+    at, part, k = inner.at, inner.part, inner.at.N.shape[2]
+    u, n, g = inner.u, inner.n, inner.g
     radius, lines = over.planes[2][part], lines - over.planes[0][part][:, None]
     first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
     along, way = second - first, ends[:, 1] - ends[:, 0]

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -226,15 +226,14 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     return False
 
 
-def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
+def create_planes(facets: Facets) -> tuple[Floats, Floats, Floats]:
+    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets.
 
     Rows of the axes are two tangents and the normal, over the radius.
     """
-    centre, radius = bounding_balls(x)
-    radius = np.maximum(radius, TINY)
-    n = unit(np.asarray(np.cross(x[:, 2] - x[:, 0], x[:, -1] - x[:, 1]), dtype=np.float64))
-    first = x[:, 1] - x[:, 0]
+    centre, radius = bounding_balls(facets.x)
+    radius, n = np.maximum(radius, TINY), facet_normals(facets)
+    first = facets.x[:, 1] - facets.x[:, 0]
     first = unit(first - (first * n).sum(axis=1)[:, None] * n)
     return centre, np.stack([first, np.cross(n, first), n], axis=1) / radius[:, None, None], radius
 
@@ -308,22 +307,25 @@ def slopes(P, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
+def are_apart(P, Q, distance):  # type: ignore[no-untyped-def]
+    """Whether an edge of one projected facet has all of the other beyond a distance."""
+    p, q = len(P), len(Q)
+    one, other = orientation(P, p), orientation(Q, q)
+    return (one != 0 and is_beside(P, p, Q, q, one, distance)) or (
+        other != 0 and is_beside(Q, q, P, p, other, distance)
+    )
+
+
+@numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    near = np.ones(len(pairs), dtype=np.bool_)
-    k, n = x_s.shape[1], x_m.shape[1]
-    S, M = np.empty((k, 3)), np.empty((n, 3))
+    near = np.empty(len(pairs), dtype=np.bool_)
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for p in range(len(pairs)):
         s = pairs[p, 0]
         if p == 0 or s != pairs[p - 1, 0]:
             project(x_s[s], centre[s], axes[s], S)
-            convex = orientation(S, k)
         project(x_m[pairs[p, 1]], centre[s], axes[s], M)
-        reach = margin[s] / radius[s] + HALF_OF_DIGITS
-        sign = orientation(M, n)
-        if convex != 0 and is_beside(S, k, M, n, convex, reach):
-            near[p] = False
-        elif sign != 0 and is_beside(M, n, S, k, sign, reach):
-            near[p] = False
+        near[p] = not are_apart(S, M, margin[s] / radius[s] + HALF_OF_DIGITS)
     return near
 
 
@@ -332,5 +334,5 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
-    near = _are_near(a.x, b.x, of_parts, *create_planes(a.x), margins)
+    near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
     return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)

@@ -41,7 +41,7 @@ from dolfinx_mortar.interfaces.tool import (
 )
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.duals import Coverage
-from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, means
+from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     coordinates,
@@ -208,7 +208,8 @@ class Obstacle(Movable, Unilateral):
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
         gaps, _ = point_gaps(pattern, self.tool, u, found.segments, found.x)
-        at = means(side, found, np.column_stack([found.x, gaps]))
+        columns = np.column_stack([found.x, gaps])
+        at = mean_values(side, found.segments, found.Phi, found.weight, columns)
         # the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(into[own] * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import STEP
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments
@@ -124,14 +124,9 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Rotations by Newton-Schulz iterations."""
-    R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
-    for _ in range(LIMIT):
-        off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
-        R -= R @ off / 2
-        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # the last step squares it
-            break
-    return np.asarray(R)
+    """Nearest rotations (n, d, d)."""
+    U, _, V = np.linalg.svd(F)
+    return np.asarray(U @ V)
 
 
 @dataclass(frozen=True, eq=False)

@@ -254,7 +254,7 @@ def _nodal_means(
     link: Link, of: Pairing | WholeSide, segments: Segments, weight: Floats, at_points: Floats
 ) -> Floats:
     Phi = weighted_duals(of, segments, link.with_ghosts(link.coupling.kept[:, 0]) > 0.0)
-    return mean_values(of, segments, Phi, weight[:, 0], at_points)
+    return mean_values(of, segments, Phi, weight[:, :1], at_points[:, None])[:, 0]
 
 
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
