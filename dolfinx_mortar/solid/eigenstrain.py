@@ -15,12 +15,10 @@ from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import array, check
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.common.tags import label
-from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.sources import (
     Followed,
     Part,
-    Source,
     check_source,
     create_source,
     point_function,
@@ -38,29 +36,22 @@ class Eigenstrain(Followed):
     """Eigenstrain at the integration points of a mesh, zero by default.
 
     Attributes:
-        function: a scalar, if isotropic, else the components (xx, yy, zz, xy) in 2D and (xx, yy,
-            zz, xy, yz, xz) in 3D.
+        function: a scalar, if isotropic, else the nine components row by row.
     """
 
     def __init__(
         self, u: fem.Function, parts: Sequence[tuple[str, Expr, Ints]], degree: int
     ) -> None:
         """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
-        domain = u.function_space.mesh
-        d, full = domain.geometry.dim, any(value.ufl_shape for _, value, _ in parts)
-        function = point_function(domain, degree, (3, 3) if full else (), "eigenstrain")
-        sources: list[Source] = []
-        # components that must vanish: of the skew part, in the plane also yz and xz
-        self._vanishing: list[Source | None] = []
+        full = any(value.ufl_shape for _, value, _ in parts)
+        shape = (9,) if full else ()
+        function = point_function(u.function_space.mesh, degree, shape, "eigenstrain")
+        sources = []
         for name, value, cells in parts:
-            tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
-            sources.append(create_source(cells, Part(name, function, tensor if full else value)))
-            zero = None
-            if value.ufl_shape:
-                terms = [value[i, j] - value[j, i] for i, j in ((0, 1), (1, 2), (0, 2))]
-                terms += [tensor[1, 2], tensor[0, 2]] if d == 2 else []
-                zero = create_source(cells, Part(name, function, ufl.as_vector(terms)))
-            self._vanishing.append(zero)
+            if full:
+                tensor = value if value.ufl_shape else value * ufl.Identity(3)
+                value = ufl.as_vector([tensor[i, j] for i in range(3) for j in range(3)])
+            sources.append(create_source(cells, Part(name, function, value)))
         super().__init__(function, sources)
 
     @property
@@ -69,39 +60,42 @@ class Eigenstrain(Followed):
         return self.tensor_of(self.function)
 
     @staticmethod
-    def tensor_of(function: fem.Function) -> Expr:
+    def tensor_of(f: fem.Function) -> Expr:
         """3x3 tensor of a Function such as `function`."""
-        return from_components(function) if function.ufl_shape else function * ufl.Identity(3)
+        if not f.ufl_shape:
+            return f * ufl.Identity(3)
+        return ufl.sym(ufl.as_tensor([[f[3 * i + j] for j in range(3)] for i in range(3)]))
 
     def judge(self) -> None:
         """Raise a ValueError for NaN, infinity, asymmetry, or shear out of the plane."""
-        for source, vanishing in zip(self._sources, self._vanishing, strict=True):
-            self._judge(source, vanishing)
-
-    def _judge(self, source: Source, vanishing: Source | None) -> None:
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-        cells, name = source.cells[source.cells < owned], source.parts[0].name
-        values = self.function.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[cells].ravel()]
-        undefined = ~np.isfinite(values).all(axis=1)
-        skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
-        if vanishing is not None:
-            largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
-            (zero,) = vanishing.evaluate(cells)
-            zero = zero.reshape(len(undefined), zero.shape[2])
-            # derivatives of interpolated fields lose digits
-            skew = (np.abs(zero[:, :3]) > HALF_OF_DIGITS * largest).any(axis=1)
-            out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
-        counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
-        bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
-        told = {
-            "is NaN or infinite": "check what it depends on",
-            "is not symmetric": "give its symmetric part, ufl.sym(..) or (e + e.T) / 2",
-            "has components xz or yz": "bodies in the plane cannot follow: set them to 0",
-        }
-        for count, (what, remedy) in zip(bad, told.items(), strict=True):
-            if count:
-                raise ValueError(f"{name} {what} at {count} integration points; {remedy}")
+        table = self.function.x.array.reshape(-1, V.dofmap.bs)
+        for source in self._sources:
+            cells = source.cells[source.cells < owned]
+            values = table[V.dofmap.list[cells].ravel()]
+            undefined = ~np.isfinite(values).all(axis=1)
+            skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
+            if V.dofmap.bs == 9:
+                largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
+                e = values.reshape(-1, 3, 3)
+                # derivatives of interpolated fields lose digits
+                apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
+                skew = apart.any(axis=(1, 2))
+                shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1)
+                out_of_plane = shear & ~undefined & (V.mesh.geometry.dim == 2)
+            counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
+            bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
+            told = {
+                "is NaN or infinite": "check what it depends on",
+                "is not symmetric": "give its symmetric part, ufl.sym(..) or (e + e.T) / 2",
+                "has components xz or yz": "bodies in the plane cannot follow: set them to 0",
+            }
+            for count, (what, remedy) in zip(bad, told.items(), strict=True):
+                if count:
+                    raise ValueError(
+                        f"{source.parts[0].name} {what} at {count} integration points; {remedy}"
+                    )
 
 
 def create_eigenstrain(
