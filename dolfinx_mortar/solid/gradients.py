@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arguments import check, one_of
 from dolfinx_mortar.common.arrays import Floats, Ints
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import stored, tensor_of
+from dolfinx_mortar.materials.tensor import tensor_of
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function
@@ -126,36 +126,33 @@ class PointGradients:
         small: bool,
     ) -> None:
         """Compile for the points and components of the stress; collective."""
-        self._space, self.small, self._finite = stress.function_space, small, kinematics.finite
-        measured = kinematics.measure(u)
-        nine = ufl.as_vector([measured[i, j] for i in range(3) for j in range(3)])
-        g, d = ufl.grad(u), self._space.mesh.geometry.dim
-        parts = [nine, ufl.as_vector([g[i, j] for i in range(d) for j in range(d)])]
-        parts += [] if eigenstrain is None else [measured - eigenstrain.tensor]
+        self._space, self.small = stress.function_space, small
+        strain, g = kinematics.strain(u), ufl.grad(u)
+        turns = TURNS[2:] if g.ufl_shape[0] == 2 else TURNS
+        rotation = [(g[i, j] - g[j, i]) / 2 for i, j in turns]
+        parts = [strain, ufl.as_vector(rotation)]
+        if small:
+            rows: list[list[Any]] = [[0] * 3 for _ in range(3)]
+            for (i, j), w in zip(turns, rotation, strict=True):
+                rows[i][j], rows[j][i] = w, -w
+            W = ufl.as_tensor(rows)
+            parts += [ufl.transpose(H) * H / 2 for H in (strain + W, W)]
+        if eigenstrain is not None:
+            parts.append(strain - eigenstrain.tensor)
         named = (Part("strain and rotation", stress, part) for part in parts)
         self._source = create_source(np.arange(0, dtype=np.int32), *named)
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
         """Strain and rotation at u, by default in owned cells; not collective."""
         domain = self._space.mesh
-        d, size = domain.geometry.dim, self._space.dofmap.bs
         if cells is None:
             owned = domain.topology.index_map(domain.topology.dim).size_local
             cells = np.arange(owned, dtype=np.int32)
-        measured, g, *seen = (
-            part.reshape(-1, part.shape[2]) for part in self._source.evaluate(cells)
-        )
-        E: Floats = measured.reshape(-1, 3, 3)
-        W: Floats = np.zeros((len(g), 3, 3))
-        if self._finite:
-            E = (np.swapaxes(E, 1, 2) @ E - np.eye(3)) / 2
-        W[:, :d, :d] = g.reshape(-1, d, d)
-        W = (W - np.swapaxes(W, 1, 2)) / 2
-        rotation = np.stack([W[:, i, j] for i, j in (TURNS[2:] if d == 2 else TURNS)], axis=1)
-        H, V = (E + W, W) if self.small else np.zeros((2, *W.shape))
-        left_out, turned = (stored(np.swapaxes(A, 1, 2) @ A / 2, size) for A in (H, V))
-        strain = stored(E, size)
-        return Gradients(strain, rotation, left_out, turned, seen[0] if seen else strain)
+        found = self._source.evaluate(cells)
+        strain, rotation, *rest = (part.reshape(-1, part.shape[2]) for part in found)
+        if not self.small:
+            rest = [np.zeros_like(strain)] * 2 + rest
+        return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
         """Message on shortening below a limit at finite strain, or ""; collective."""

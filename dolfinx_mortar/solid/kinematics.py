@@ -54,6 +54,13 @@ class Kinematics:
         name = f"{self.name}, finite strain"
         return dataclasses.replace(self, name=name, measure=self.gradient, finite=True)
 
+    def strain(self, u: Expr) -> Expr:
+        """Strain at u; of F the Green-Lagrange strain."""
+        measured = self.measure(u)
+        if not self.finite:
+            return measured
+        return (ufl.transpose(measured) * measured - ufl.Identity(3)) / 2
+
     def virtual(self, u: Expr, v: Expr) -> Expr:
         """Strain of v at u, d measure(u)/du [v]."""
         return ufl.derivative(self.measure(u), u, v)
