@@ -23,9 +23,9 @@ from dolfinx_mortar import analytic
 from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import law_check
 from dolfinx_mortar.materials.law_check import law_at_point
+from dolfinx_mortar.materials.plasticity import wright_omega
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.response import values_at_points
-from dolfinx_mortar.materials.von_mises import wright_omega
 from dolfinx_mortar.solid.kinematics import axisymmetric, on_axis
 from tests.cases.pointwise_laws import UNIT, Radial
 from tests.test_law_check import Slips, von_mises, von_mises_stress
@@ -35,7 +35,7 @@ from tests.test_user_laws import Isotropic
 PACKAGE = Path(dm.__file__).parent
 # Number -> absurd factors, each of which must show.
 NUMBERS = {
-    "materials.von_mises": {"YIELD_TOLERANCE": (1e-10, 1e9)},
+    "materials.plasticity": {"YIELD_TOLERANCE": (1e-10, 1e9)},
     "materials.law_check": {
         **{"PATHS": (0,), "RTOL": (1e-10, 1e5)},
         **{"LENGTHS": (1e-8, 1e9), "SIZES": (1e-6,)},
@@ -47,7 +47,7 @@ SHARED = {
     "analytic": {"HALF_OF_DIGITS": (1e8,)},  # without it polyfit warns
     # a smaller one costs an iteration
     "materials.response": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
-    "materials.von_mises": {"EPS": (0.0, 1e14), "SERIES_BELOW": (0.01, 100.0)},
+    "materials.plasticity": {"EPS": (0.0, 1e14), "SERIES_BELOW": (0.01, 100.0)},
     "solid.kinematics": {"ROUND_OFF": (0.0, 2e13)},
 }
 TABLES = {"COMPONENTS", "INDEX", "TURNS", "UNTAGGED"}  # how tensors are stored, and a mark
@@ -184,7 +184,7 @@ def observe_axis():
 
 OBSERVE = {
     "solid.kinematics": observe_axis,
-    "materials.von_mises": lambda: [*observe_omega(), *observe_law()],
+    "materials.plasticity": lambda: [*observe_omega(), *observe_law()],
     "materials.law_check": observe_check,
     "materials.response": observe_plane_stress,
     "analytic": observe_fit,

@@ -296,15 +296,14 @@ class EnergyDensities:
         tags = np.zeros(owned, dtype=np.int64)
         if named is not None:
             tags = tags_of_cells(domain, named)[:owned]
-        every = np.unique(np.concatenate(domain.comm.allgather(np.unique(tags))))
-        sums = np.zeros((len(every), 2))
-        for k, name in enumerate((STORED, DISSIPATED)):
-            of_cells = (fields.values(name) * fields.weights).sum(axis=1)
-            sums[:, k] = np.bincount(np.searchsorted(every, tags), of_cells, len(every))
-        domain.comm.Allreduce(MPI.IN_PLACE, sums)
+        every = sorted(set().union(*domain.comm.allgather(set(tags.tolist()))))
+        of_cells = [
+            (fields.values(name) * fields.weights).sum(axis=1) for name in (STORED, DISSIPATED)
+        ]
+        shares = np.array([[part[tags == tag].sum() for part in of_cells] for tag in every])
+        sums = domain.comm.allreduce(shares).tolist()
         names = {} if named is None else {tag: name for name, tag in names_of(named).items()}
-        keys = [names.get(int(tag), int(tag)) for tag in every]
-        return {key: Energies(*map(float, row)) for key, row in zip(keys, sums, strict=True)}
+        return {names.get(tag, tag): Energies(*row) for tag, row in zip(every, sums, strict=True)}
 
 
 class PointState:
