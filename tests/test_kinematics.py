@@ -11,8 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.solid.bodies import find_bodies, find_free, rigid_motions
 from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
+from dolfinx_mortar.solid.supports import find_bodies, find_free, rigid_motions
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import PressedBlocks, rejected

@@ -11,7 +11,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, la
 from dolfinx_mortar.problem.linearisation import find_balance, to_displacement, to_reduced
-from dolfinx_mortar.solid.bodies import find_bodies
+from dolfinx_mortar.solid.supports import find_bodies
 from tests.cases.ball import create_problem as create_ball
 from tests.cases.block_piles import (
     ABOVE,

@@ -16,9 +16,9 @@ from dolfinx_mortar.common.arrays import CHUNK, HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.bodies import name_of
 from dolfinx_mortar.solid.pointwise import largest_stress_lost
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import name_of
 
 # Largest error without a note: of forces, by the work of rotations (6.4 % for 6.7 % between two
 # blocks) or half of the whole term (6 to 48 % for 5 to 35 % below a ball); in logarithmic strain

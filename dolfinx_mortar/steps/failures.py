@@ -18,7 +18,7 @@ from dolfinx_mortar.mortar.passing import (
 )
 from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.bodies import name_of
+from dolfinx_mortar.solid.supports import name_of
 from dolfinx_mortar.terms.loads import Pressure
 
 # Softness u.K u / u.K_e u at a limit load: at most 6e-3 without hardening, .05 and more for metals.
