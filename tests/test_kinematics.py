@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.solid.bodies import rigid_motions
 from dolfinx_mortar.solid.kinematics import plane_strain, spatial
+from dolfinx_mortar.solid.supports import rigid_motions
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins
 from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.rings import Lame

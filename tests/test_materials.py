@@ -18,8 +18,8 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.law_check import law_at_point
+from dolfinx_mortar.materials.plasticity import wright_omega
 from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.materials.von_mises import wright_omega
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pressed_blocks import rejected
 from tests.cases.rate_equations import IDENTITY, Rates, deviator

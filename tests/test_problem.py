@@ -9,7 +9,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, la
-from dolfinx_mortar.solid.bodies import find_bodies
+from dolfinx_mortar.solid.supports import find_bodies
 from tests.cases.ball import create_problem as create_ball
 from tests.cases.block_piles import (
     BELOW,

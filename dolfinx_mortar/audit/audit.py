@@ -27,8 +27,7 @@ from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, boxes_of, find_f
 from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import facets_at, mean_facet_length, nodal_normals
-from dolfinx_mortar.solid.bodies import Bodies, Motion, bodies_of, find_free, name_of
-from dolfinx_mortar.solid.dirichlet import Dirichlet
+from dolfinx_mortar.solid.supports import Bodies, Dirichlet, Motion, bodies_of, find_free, name_of
 
 # Ratio of slave to master facets without a warning, half of that where the peak of a disc on a
 # block is still right to .7 % (6 % at 8).

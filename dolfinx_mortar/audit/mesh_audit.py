@@ -20,9 +20,9 @@ from dolfinx_mortar.common.arrays import Bools, Floats, Longs
 from dolfinx_mortar.common.spaces import HIGHEST
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import Sides
-from dolfinx_mortar.solid.dirichlet import Dirichlet
 from dolfinx_mortar.solid.kinematics import on_axis
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import Dirichlet
 
 SIMPLICES = ("triangle", "tetrahedron")
 CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")

@@ -34,8 +34,8 @@ from dolfinx_mortar.mortar.facing_bodies import (
     find_facing,
 )
 from dolfinx_mortar.mortar.surface import find_boundary
-from dolfinx_mortar.solid.bodies import find_bodies
 from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
+from dolfinx_mortar.solid.supports import find_bodies
 
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 

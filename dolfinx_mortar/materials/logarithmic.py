@@ -135,9 +135,7 @@ class CompiledLaw:
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
         columns: list[Floats] = [np.zeros((q, len(self._arguments)))]
-        roots = np.empty((q if self._remembers else 0, 3, 3))
-        if self._remembers:
-            logarithms.roots(state[PLASTIC], roots)
+        roots = logarithms.roots(state[PLASTIC]) if self._remembers else np.empty((0, 3, 3))
         for name, shape in self._memory.items():
             columns.append(stored(state[name], len(self._pairs)) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]
@@ -209,8 +207,8 @@ class CompiledLaw:
             for name, shape in self.law.state.items():
                 part, columns = np.split(columns, [self._width if shape else 1], axis=1)
                 if name == PLASTIC and self._remembers:
-                    part, old = np.ascontiguousarray(part), state[name][some]
-                    logarithms.flow(old, part, start.roots[some], parts[2], new[name][some])
+                    old, g = state[name][some], start.roots[some]
+                    new[name][some] = logarithms.flow(old, part, g, parts[2])
                 else:
                     new[name][some] = tensor_of(part) if shape else part[:, 0]
         return new

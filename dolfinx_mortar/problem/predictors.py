@@ -23,8 +23,8 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.solid.bodies import Bodies
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import Bodies
 
 
 def predict(

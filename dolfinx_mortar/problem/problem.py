@@ -40,9 +40,15 @@ from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
-from dolfinx_mortar.solid.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.solid.dirichlet import Dirichlet, check_targets, create_dirichlet
 from dolfinx_mortar.solid.solid import Solid, flows_at_start
+from dolfinx_mortar.solid.supports import (
+    Bodies,
+    Dirichlet,
+    check_targets,
+    create_dirichlet,
+    find_bodies,
+    with_ties,
+)
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms

@@ -33,8 +33,8 @@ from dolfinx_mortar.problem.contacts import Contacts, gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.certificate import LARGEST_SHARE, StepEnd
 from dolfinx_mortar.report.penetration import notes_on_crossings, notes_on_overlaps
-from dolfinx_mortar.solid.bodies import name_of
 from dolfinx_mortar.solid.pointwise import largest_stress_lost
+from dolfinx_mortar.solid.supports import name_of
 
 log = logging.getLogger(__name__)
 

@@ -26,7 +26,7 @@ from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_conditions, check_problem
 from dolfinx_mortar.problem.linearisation import Balance, support_slots
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.dirichlet import marked_dofs, prescribed_dofs
+from dolfinx_mortar.solid.supports import marked_dofs, prescribed_dofs
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,8 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import GRADIENT, contract
-from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.laws import Integral, Region
+from dolfinx_mortar.solid.laws import Eigenstrain, Integral, Region
 from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.sources import unchanged

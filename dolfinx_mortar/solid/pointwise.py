@@ -6,7 +6,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-import numba
 import numpy as np
 
 import ufl
@@ -265,18 +264,7 @@ def largest_stress_lost(
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
-    a, b = np.array(upper_triangle(len(entries))).T
     at = np.array(entries) @ [3, 1]
-    terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
-    return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
-
-
-@numba.njit(cache=True)
-def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Means (q, t) of columns terms (t, 2) of values (q, n)."""
-    means = np.empty((len(values), len(terms)))
-    for q in range(len(values)):
-        for t in range(len(terms)):
-            a, b = terms[t]
-            means[q, t] = (values[q, a] + values[q, b]) / 2
-    return means
+    a, b = at[np.array(upper_triangle(len(entries)))].T
+    C = tangent.reshape(len(tangent), 9, 9)
+    return np.asarray((C[:, a, b] + C[:, b, a]) / 2)
