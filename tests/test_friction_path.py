@@ -32,6 +32,7 @@ def stored(case):
     return 0.5 * case.problem.solid.elastic_norm(case.problem.u) ** 2
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize(("cell", "slave"), [("triangle", "upper"), ("quadrilateral", "lower")])
 def test_sliding_turns_work_into_dissipation(cell, slave):
     """While all slides: work = T times the way = what the contact says, the energy stays."""

@@ -117,7 +117,7 @@ def test_all_conditions_hold(how, monkeypatch):
             with suppress(QPNotSolved, NoResistance):
                 p.holds(solve(p.qp(), linear=linear, rtol=1e-12))
                 solved += 1
-    assert solved == 32 or solved >= 8 and "weak" in how
+    assert solved == 32 or (solved >= 8 and "weak" in how)
 
 
 def slipping(seed=3):
