@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.problem import predictors
 from tests.cases.finite_sliding import indentation, walk
-from tests.cases.meshes_3d import rotation
-from tests.tool_case import BASE, Box
+from tests.tool_case import Box
 
 PRESSED, DRAGGED = 3, 4
 DISC = dm.shapes.Cylinder((2.0, 1.0), 1.0)
@@ -50,31 +48,16 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     assert count(steps) + 3 <= count(rigid)
 
 
-def ironed_by_tool(law, *, friction=0.0, way=0.6, turned=0.0):
-    """Drag a rigid cylinder over a turned block; return iterations and the force, turned back."""
+def ironed_by_tool(law, friction, way):
+    """Drag a rigid cylinder over a block."""
     body = Box("quadrilateral", (24, 5), (0.0, -2.0), (6.0, 0.0))
-    base, tool = fem.Function(body.V), body.tool(DISC, friction=friction)
-    case = body.problem([tool], law, bcs=[body.hold(BASE, value=base)], strain="finite")
-    start = tool.rigid.position.value.copy()
-
-    turn = rotation((0, 0, 1), turned)[:2, :2]
+    tool = body.tool(DISC, friction=friction)
+    case = body.problem([tool], law, strain="finite")
 
     def move(t):
-        place = 2.0 + way * max(t - 3.0, 0.0), 1.0 - 0.1 * min(t, 3.0)
-        base.interpolate(lambda x: (turn - np.eye(2)) @ x[:2])
-        tool.rigid.position.value[:] = start + turn @ place - (2.0, 1.0)
+        tool.rigid.position.value[:] = 2.0 + way * max(t - 3.0, 0.0), 1.0 - 0.1 * min(t, 3.0)
 
-    steps = list(dm.load_steps(case, np.arange(1, 8), on_time=move, rtol=1e-8))
-    return sum(step.report.newton_iterations for step in steps[3:]), tool.force @ turn
-
-
-@pytest.mark.mpi
-def test_turned_bodies_slide_like_others():
-    """What moves along is the deformation, which has no part in a rotation by 90 degrees."""
-    few, force = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
-    turned, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3), turned=np.pi / 2)
-    assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
-    assert turned <= few + 1
+    assert len(list(dm.load_steps(case, np.arange(1, 8), on_time=move, rtol=1e-8))) == 7
 
 
 @pytest.mark.parametrize(
@@ -93,4 +76,4 @@ def test_what_stays(law, friction, way, monkeypatch):
         raise AssertionError
 
     monkeypatch.setattr(predictors, "convected", fail)
-    ironed_by_tool(law, friction=friction, way=way)
+    ironed_by_tool(law, friction, way)

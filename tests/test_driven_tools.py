@@ -8,14 +8,13 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem
-from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.problem import predictors
 from dolfinx_mortar.steps import newton
 from tests.cases.meshes import BOTTOM, LEFT
 from tests.cases.pressed_blocks import rejected
 from tests.cases.two_bodies import TwoBodies
-from tests.tool_case import BASE, DEPTH, DISC, TOP, Block, Box, R
+from tests.tool_case import BASE, DEPTH, DISC, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -197,28 +196,6 @@ def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
     assert gained.duration == pytest.approx(0.2)
     _, elastic, _ = pressed_in_steps(LEVELS[:2], law=RUBBER)  # which does not
     assert elastic.begin_step(0.6, predictors.predict).travel is None
-
-
-def test_supports_lead_what_goes_on():
-    """A clamped bar of metal is stretched and sheared at one rate: a step begins near its end."""
-    bar = Box("quadrilateral", (6, 2), high=(3.0, 1.0), axis=0)
-    pull = fem.Constant(bar.mesh, np.zeros(2, dtype=default_real_type))
-    bcs = [bar.hold(BASE), bar.hold(TOP, value=pull)]
-    problem = bar.problem((), METAL, bcs=bcs, strain="finite")
-    ramp = {pull: [(0.0, (0.0, 0.0)), (1.0, (0.6, 0.3))]}
-    walk = dm.load_steps(problem, [0.1, 0.2, 0.3], ramp=ramp, progress=False)
-    next(walk), next(walk)
-    before = problem.owned_u.copy()
-    pull.value[:] = 0.18, 0.09
-    problem.begin_step(0.3, predictors.predict)
-    begun = problem.owned_u.copy()
-    problem.owned_u[:] = before
-    problem.u.x.scatter_forward()
-    assert next(walk).report.newton_iterations <= 3
-    off, size = maximum(
-        COMM, *(np.abs(problem.owned_u - u).max(initial=0) for u in (begun, before))
-    )
-    assert off < 0.02 * size
 
 
 def test_a_step_that_fails_from_there_begins_without(monkeypatch):

@@ -75,24 +75,6 @@ def ironed(drag, **options):
     return steps
 
 
-def sliding(steps):
-    """Return drag and normal force of the steps in which it slides all over."""
-    return np.array([np.abs(force) for t, force, _ in steps if t > 1.25]).T
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_shallow_ironing(friction):
-    """Few iterations; the normal force is that of swapped sides, to 1.5 %, the drag mu V."""
-    runs = [ironed(20, slave=slave, friction=friction) for slave in ("tool", "block")]
-    for steps in runs:
-        assert iterations(steps).mean() < 4.5
-        H, V = sliding(steps)
-        assert np.abs(H - friction * V).max() < 0.02 * V.max()
-    (_, V), (_, W) = (sliding(steps) for steps in runs)
-    assert np.abs(V - W).max() < 0.015 * V.max()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("slave", "force"), [("tool", (0.007346, 0.638620)), ("block", (0.006054, 0.638062))]

@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from dolfinx_mortar.qp import (
     solve,
 )
 from dolfinx_mortar.qp import operator as operators
-from dolfinx_mortar.qp.operator import Operator
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -90,36 +88,6 @@ def test_what_needs_a_definite_matrix_says_so(rng):
     falling = from_arrays(-np.eye(3), -np.ones(3), np.full(3, -INF), np.zeros(3), COMM)
     with pytest.raises(QPNotSolved, match=r"came back.*open and close in turn: refine the mesh"):
         solve(replace(falling, definite=False))  # z = -1 where closed, x = 1 where open
-
-
-@pytest.mark.parametrize("lowest", [-1.0, -1e-3, 1e-3])
-def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
-    """One of a thousand, the others from 1 to 2; not if it is held, nor if they stop too early."""
-    n = 1000
-    A = PETSc.Mat().createAIJ((n, n), nnz=1, comm=COMM)
-    A.setUp()
-    first, last = A.getOwnershipRange()
-    diagonal = A.createVecRight()
-    diagonal.array[:] = 1.0 + np.arange(first, last) / n
-    mine = np.array([n // 3 - first] if first <= n // 3 < last else [], dtype=np.int32)
-    diagonal.array[mine] = lowest
-    A.setDiagonal(diagonal)
-    A.assemble()
-    operator = Operator(A, copied=False, definite=True)
-    pc = PETSc.PC().create(COMM)
-    pc.setType("none")
-    pc.setOperators(operator.matrix)
-
-    def met(held=mine[:0]):
-        operator.hold(held)
-        return operators.meets_negative_curvature(operator, pc, n)
-
-    for factor in (0.5, 1.0, 2.0):
-        monkeypatch.setattr(operators, "RESOLVED", factor * 0.01)
-        assert met() == (lowest < 0.0)
-        assert not met(mine)
-    monkeypatch.setattr(operators, "RESOLVED", 3.0)
-    assert not met()
 
 
 @pytest.mark.parametrize(("entries", "count"), [((1.0, 2.0), 0), ((1.0, -2.0), 1), ((1.0, 0.0), 1)])
