@@ -225,11 +225,7 @@ def generator(t):
     yield t
 
 
-async def coroutine(t):
-    return t
-
-
-@pytest.mark.parametrize("on_time", [generator, coroutine, lambda t: generator(t)])
+@pytest.mark.parametrize("on_time", [generator, lambda t: generator(t)])
 def test_what_has_set_nothing(on_time):
     """A function with `yield` only makes a generator: its loads would stay as they were."""
     case = Blocks(PILE[:1])

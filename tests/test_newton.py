@@ -12,9 +12,10 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.problem.contacts import Contacts, Scales, measure
-from dolfinx_mortar.problem.linearisation import find_balance, linearise
+from dolfinx_mortar.problem.linearisation import find_balance, linearise, to_displacement
 from dolfinx_mortar.steps import line_search
 from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.subproblem import Solution
 from dolfinx_mortar.terms.sum import Terms
 from tests.cases.ball import create_problem
 from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
@@ -196,6 +197,26 @@ def test_the_merit_needs_its_penalty(monkeypatch):
     monkeypatch.setattr(line_search.Path, "excess", lambda self, t: 0.0)
     with rejected("line search", error=dm.NewtonNotConverged):
         dm.newton(case.problem)
+
+
+@pytest.mark.serial
+def test_the_slope_is_that_of_the_merit():
+    """Energy and penalty, at the start, against the difference of their values over the step."""
+    problem = overlapping().problem
+    data = problem.begin_step()
+    lin = linearise(problem, find_balance(problem, data))
+    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
+    du = to_displacement(problem.system.transformation, solved.x)
+    multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
+    path = line_search.create_path(problem, Solution(lin, solved), du, multiplier)
+
+    def merit(t):
+        line_search.move(problem, path.start + t * path.du)
+        return problem.terms.energy().value + path.excess(t)
+
+    first = line_search.find_slope(problem, lin, path)
+    assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
+    assert first < 0.0 < -lin.balance.r.dot(du)  # the penalty alone makes it fall
 
 
 def test_a_step_at_round_off_is_not_refused(monkeypatch):

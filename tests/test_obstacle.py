@@ -315,3 +315,16 @@ def test_a_shape_of_a_user_that_fails_somewhere(change, told):
     with rejected(told, error=(KeyError, RuntimeError) if change is fails else ValueError):
         case.press(Half(change))
     assert not case.u.x.array.any()
+
+
+def test_what_a_tool_does_is_undone_when_it_rolls_back():
+    """Its way at points that slide on it, by which its work is told, is the opposite then."""
+    case, rng = Block(n=4), np.random.default_rng(4)
+    tool = case.tool(DISC)
+    tool.take(None, case.V)
+    before, ended = rng.uniform(-1.0, 1.0, (2, 30, 2))
+    tool.position.value[:], tool.rotation.value = (0.7, R), 0.8
+    way = tool.tool.way(before, ended)
+    tool.restore(tool.state(True))
+    tool.position.value[:], tool.rotation.value = (0.0, R), 0.0
+    assert tool.tool.way(ended, before) == pytest.approx(-way, abs=1e-13)

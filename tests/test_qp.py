@@ -18,6 +18,7 @@ from programs import (
     from_arrays,
     gathered,
     membrane,
+    sets,
 )
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
@@ -34,7 +35,7 @@ from dolfinx_mortar.qp import (
     solver,
 )
 from dolfinx_mortar.qp.condensed import Condensed, Dense
-from dolfinx_mortar.qp.held import TIGHT, HeldProblem, State, update
+from dolfinx_mortar.qp.held import LOOSE, TIGHT, Found, HeldProblem, State, update
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.qp.preconditioner import set_apart
 
@@ -235,6 +236,18 @@ def test_bounds_that_are_far_are_not_reached(monkeypatch):
 def updates_only(monkeypatch):
     """Switch the condensation off, as for very many bounded unknowns."""
     monkeypatch.setattr(solver, "set_apart", lambda *_: None)
+
+
+def test_a_cycle_of_loose_solves_tightens_them():
+    levels = []
+
+    def hold(active, level):
+        levels.append(level)
+        other = active if level >= TIGHT else 1 - active
+        return Found(other, int((other != active).sum()), satisfied=level >= TIGHT)
+
+    outcome = update(hold, sets(0, 1), MPI.COMM_SELF, level=LOOSE)
+    assert outcome.reason == "" and levels[-1] == TIGHT and len(levels) < 10
 
 
 @pytest.mark.mpi

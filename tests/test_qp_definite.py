@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from dolfinx_mortar.qp import (
     solve,
 )
 from dolfinx_mortar.qp import operator as operators
+from dolfinx_mortar.qp.operator import Operator
 
 COMM = MPI.COMM_WORLD
 INF = np.inf
@@ -88,6 +90,21 @@ def test_what_needs_a_definite_matrix_says_so(rng):
     falling = from_arrays(-np.eye(3), -np.ones(3), np.full(3, -INF), np.zeros(3), COMM)
     with pytest.raises(QPNotSolved, match=r"came back.*open and close in turn: refine the mesh"):
         solve(replace(falling, definite=False))  # z = -1 where closed, x = 1 where open
+
+
+@pytest.mark.parametrize("lowest", [-1.0, -1e-3, 1e-3])
+def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
+    """One of a thousand, the others from 1 to 2; not if they stop too early."""
+    values = 1.0 + np.arange(1000) / 1000
+    values[333] = lowest
+    qp = from_arrays(np.diag(values), *np.zeros((3, 1000)), COMM)
+    operator, pc = Operator(qp.A, copied=False, definite=True), PETSc.PC().create(COMM)
+    pc.setType("none")
+    pc.setOperators(operator.matrix)
+    operator.hold(np.zeros(0, dtype=np.int32))
+    for resolved, met in ((0.005, lowest < 0.0), (0.02, lowest < 0.0), (3.0, False)):
+        monkeypatch.setattr(operators, "RESOLVED", resolved)
+        assert operators.meets_negative_curvature(operator, pc, 1000) == met
 
 
 @pytest.mark.parametrize(("entries", "count"), [((1.0, 2.0), 0), ((1.0, -2.0), 1), ((1.0, 0.0), 1)])

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.common.agreement import find_constants
-from dolfinx_mortar.steps.ramp import check_range, read_ramps
+from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree
@@ -160,6 +160,16 @@ def test_a_walk_goes_on_with_its_tables(folder):
     agree(second.numbers(), whole.numbers())
     assert not list(third.walk(LEVELS, on_time=None, ramp={third.top: farther}, checkpoint=file))
     assert np.allclose(third.top.value, [0.00137500, -0.006125])  # of level 0.75
+
+
+def test_tables_are_compared_where_the_walk_has_been():
+    """At the corners of both, by more than round-off."""
+    number, rows = constant(0.0), [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
+    saved = [read_ramps(COMM, {number: rows})[0].rows]
+    other = [[(t, v * (1 + error)) for t, v in rows] for error in (1e-14, 1e-10)]
+    for table, differs in zip([*other, rows[::2]], (False, True, True), strict=True):
+        found = difference(saved, read_ramps(COMM, {number: table}), [0.0, 1.0])
+        assert bool(found) == differs
 
 
 @pytest.mark.mpi
