@@ -113,18 +113,11 @@ def test_loads_that_make_no_sense():
 # -- walks
 
 
-class Free(Block):
-    """A block whose axis is free."""
-
-    def bcs(self):
-        return [self.hold(BASE)]
-
-
 def test_a_disc_rolls_over_facets_in_a_step():
     """Its angle is given, its way found: R times the angle."""
-    case, radius = Free(n=20, fine=5.0, size=5.0), 3.0
+    case, radius = Block(n=20, fine=5.0, size=5.0), 3.0
     tool = case.tool(dm.shapes.Cylinder([2.0, radius], radius), friction=0.3, load={"y": -20.0})
-    problem = case.problem([tool])
+    problem = case.problem([tool], bcs=[case.hold(BASE)])
     dm.newton(problem)
     problem.commit()
     tool.rotation.value[...] = -4 * 0.25 / radius

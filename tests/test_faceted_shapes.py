@@ -178,11 +178,9 @@ WRONG = [
     (FIN, {}, ("three or more", "3 triangles with")),
     ((POINTS, FACES[:, ::-1]), {}, ("inside out", "Complement")),
     (3, {}, ("surface is 3", "path of an STL")),
-    ((POINTS, [["a"]]), {}, ("triangles is [['a']]",)),
     ((POINTS * np.nan, FACES), {}, ("points", "nan at [0, 0]")),
     (box(), {"rim": "x"}, ("rim is 'x'", "True or False")),
     (box(), {"crease": 120.0}, ("crease is 120.0", ">= 0 and <= 90")),
-    (box(), {"point": [0.0, 0.0]}, ("point is [0.0, 0.0]", "3 finite")),
 ]
 WRONG_OUTLINES = [
     (RECTANGLE[::-1], {}, ("clockwise", "points[::-1]", "Complement")),
