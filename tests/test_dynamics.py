@@ -158,6 +158,7 @@ def test_a_checkpoint_holds_the_motion(folder, options):
         np.testing.assert_allclose(getattr(other, name), value, rtol=1e-9, atol=1e-12)
     assert w == pytest.approx(v, rel=1e-9, abs=1e-10)
     assert "energy: " in str(last.report) and "kinetic " in str(last.report)
+    assert not list(dm.time_steps(case.problem, times, progress=False, **options))  # all are made
     assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 

@@ -45,6 +45,7 @@ def test_sliding_turns_work_into_dissipation(cell, slave):
     assert case.contact.dissipation - spent == pytest.approx(work, rel=1e-9)
     assert stored(case) == pytest.approx(elastic, rel=1e-9)
     assert work == pytest.approx(-MU * case.forces[1] * 0.02, rel=1e-9)
+    assert largest(case.contact.slip.x.array) > 0.02
 
 
 # -- limits of the user

@@ -170,6 +170,8 @@ def test_tables_are_compared_where_the_walk_has_been():
     for table, differs in zip([*other, rows[::2]], (False, True, True), strict=True):
         found = difference(saved, read_ramps(COMM, {number: table}), [0.0, 1.0])
         assert bool(found) == differs
+    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
+    assert "another shape" in difference(saved, vector, [0.0, 1.0])
 
 
 @pytest.mark.mpi
