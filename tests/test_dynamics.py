@@ -154,12 +154,11 @@ def test_a_checkpoint_holds_the_motion(folder, options):
             last = walk(case.problem, times[:stop], checkpoint=file, **options)
         found.append((last.report.ledger, case.inertia.velocity.x.array.copy()))
     (one, v), (other, w) = found
-    # approx compares nested lists to the last bit
-    (impulses, same), apart = (each.impulses for each in (one, other)), {"impulses": []}
-    assert impulses[0] == pytest.approx(same[0], rel=1e-9, abs=1e-12)
-    assert asdict(one) | apart == pytest.approx(asdict(other) | apart, rel=1e-9, abs=1e-12)
+    for name, value in asdict(one).items():
+        np.testing.assert_allclose(getattr(other, name), value, rtol=1e-9, atol=1e-12)
     assert w == pytest.approx(v, rel=1e-9, abs=1e-10)
     assert "energy: " in str(last.report) and "kinetic " in str(last.report)
+    assert not list(dm.time_steps(case.problem, times, progress=False, **options))  # all are made
     assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 
@@ -260,8 +259,7 @@ def test_the_ledger_counts_what_rigid_sides_do(by):
         assert inertia.momentum()[1] == pytest.approx(0.5, rel=1e-9)
 
 
-@pytest.mark.parametrize("by", ["ramp", "on_time"])
-def test_the_first_acceleration_is_that_of_the_loads_at_the_start(by):
+def test_the_first_acceleration_is_that_of_the_loads_at_the_start():
     """A force that grows from zero with time: after a step of 1 the velocity is (0 + 1) / 2."""
     bar = Bar()
     bar.u.x.array[:] = 0.0
@@ -272,8 +270,7 @@ def test_the_first_acceleration_is_that_of_the_loads_at_the_start(by):
     def grow(time):
         force.value = time
 
-    options = {"ramp": {force: [(0.0, 0.0), (1.0, 1.0)]}, "on_time": grow}
-    walk(problem, [1.0], **{by: options[by]})
+    walk(problem, [1.0], on_time=grow)
     assert np.allclose(bar.inertia.values("velocity"), [0.5, 0.0], atol=1e-9)
 
 

@@ -178,11 +178,9 @@ WRONG = [
     (FIN, {}, ("three or more", "3 triangles with")),
     ((POINTS, FACES[:, ::-1]), {}, ("inside out", "Complement")),
     (3, {}, ("surface is 3", "path of an STL")),
-    ((POINTS, [["a"]]), {}, ("triangles is [['a']]",)),
     ((POINTS * np.nan, FACES), {}, ("points", "nan at [0, 0]")),
     (box(), {"rim": "x"}, ("rim is 'x'", "True or False")),
     (box(), {"crease": 120.0}, ("crease is 120.0", ">= 0 and <= 90")),
-    (box(), {"point": [0.0, 0.0]}, ("point is [0.0, 0.0]", "3 finite")),
 ]
 WRONG_OUTLINES = [
     (RECTANGLE[::-1], {}, ("clockwise", "points[::-1]", "Complement")),
@@ -232,17 +230,16 @@ def test_what_is_no_file(tmp_path, content, words):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("lacking", ["one", "all"])
-def test_a_file_that_ranks_lack(folder, lacking):
+def test_a_file_that_ranks_lack(folder):
     """No rank leaves the others when it reads; all raise when a problem is made."""
     file = folder / "box.stl"
-    if COMM.rank == 0 and lacking == "one":
+    if COMM.rank == 0:
         write_binary(file, *box())
     COMM.barrier()
     if COMM.rank == COMM.size - 1:
         file = file.with_name("none.stl")
-    words = ("which cannot be read",)
-    if COMM.size > 1 and lacking == "one":
-        words = "shape.surface differs between the ranks", "not read, ", "give all ranks"
+    words = ["which cannot be read"]
+    if COMM.size > 1:
+        words = ["shape.surface differs between the ranks", "not read, ", "give all ranks"]
     with rejected(*words):
         Box().press(shapes.Triangles(file, [0.0, 0.0, 0.0]))

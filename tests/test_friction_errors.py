@@ -79,9 +79,8 @@ def test_a_limit_is_given_once(case, name):
 
 @LAWS
 def test_limits_on_another_mesh(case, name):
-    """Numbers are the same on all meshes; other ranks do not wait for one that is wrong."""
+    """Other ranks do not wait for one that is wrong."""
     other, _, _ = two_blocks(COMM)
-    case.again(**{name: fem.Constant(other, 0.3)}).solve(0.0, -0.01)
     value, own = (
         fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
         for mesh in (other, case.problem.V.mesh)

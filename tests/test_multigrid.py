@@ -8,7 +8,6 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.qp import MULTIGRID
-from dolfinx_mortar.qp.preconditioner import Multigrid
 from tests.cases.ball import create_problem
 from tests.sweep.problems import create
 
@@ -112,29 +111,6 @@ def test_a_step_that_stalls_asks_for_more_accurate_programs():
 # -- one set-up for a step -------------------------------------------------------------------------
 
 
-def moving_problem(**options):
-    """The ball in contact with moving geometry: a linear law, several sets and geometries."""
-    return create_problem(h=0.25, geometry="updated", **options)
-
-
-@pytest.fixture(scope="module")
-def moved():
-    problem, contact = moving_problem()
-    return problem, contact, dm.newton(problem)
-
-
-def test_one_set_up_serves_all_geometries(moved, monkeypatch):
-    """It follows the contact set and the geometry; one that does not is renewed or slow."""
-    report = moved[2]
-    assert report.newton_iterations > 2 and report.factorisations == 1
-    iterations = sum(i.linear_iterations for i in report.iterations)
-    monkeypatch.setattr(Multigrid, "follows", False)
-    problem, contact = moving_problem()
-    stays = dm.newton(problem)
-    assert sum(i.linear_iterations for i in stays.iterations) > 1.2 * iterations
-    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
-
-
 def test_number_of_iterations():
     """One set-up serves a step: 25 to 27 iterations on 1, 2 and 3 ranks."""
     problem, _ = create_problem(cell="tetrahedron", h=0.2, geometry="updated")
@@ -145,7 +121,7 @@ def test_number_of_iterations():
 
 def test_the_set_up_survives_load_steps_and_searches():
     """Five small steps; no unknowns are renumbered, so that nothing has to be set up for them."""
-    problem, _ = moving_problem()
+    problem, _ = create_problem(h=0.25, geometry="updated")
     steps = list(dm.load_steps(problem, np.linspace(0.2, 1.0, 5)))
     assert sum(step.report.factorisations for step in steps) <= 2
     assert problem.linear.counts.symbolic == 1

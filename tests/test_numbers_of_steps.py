@@ -21,9 +21,9 @@ from tests import (
     test_finite_strain,
     test_kinematics,
     test_law_check,
-    test_line_search,
     test_materials,
     test_multigrid,
+    test_newton,
     test_plane_stress,
 )
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
@@ -52,7 +52,7 @@ NUMBERS = {
     "problem.contacts": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_contact, test_resolution, in
-# test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
+# test_edges, in those of checkpoints, in test_pretension, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
     "interfaces.constraints",  # in test_friction_patch
@@ -278,7 +278,7 @@ ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit
 PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
     "SQUEEZED": test_finite_strain.test_cells_that_invert,
-    "ARMIJO": test_line_search.test_a_step_too_long_is_halved,
+    "ARMIJO": test_newton.test_a_step_too_long_is_halved,
     "arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,
 }

@@ -77,18 +77,17 @@ def test_hertz(shape, kinematics, geometry):
     """Half width and peak pressure of a line and a point contact, nine nodes or more."""
     case = Block(n=40, fine=0.6)
     tool, _, report = case.press(shape, rtol=1e-6, kinematics=kinematics, geometry=geometry)
-    rigid, force = (1e9 * E, 0.0), -float(tool.force[1])
+    own, force = (R, E, NU, 1e9 * E, 0.0), -float(tool.force[1])
     if shape is DISC:
-        exact = dm.analytic.hertz_line(2.0 * force, R, E, NU, *rigid)  # of both halves
-        expected = exact.peak_pressure, exact.half_width
+        exact = dm.analytic.hertz_line(2.0 * force, *own)  # of both halves
     else:
-        exact = dm.analytic.hertz_point(force, R, E, NU, *rigid)
-        expected = exact.peak_pressure, exact.contact_radius
+        exact = dm.analytic.hertz_point(force, *own)
+    width = exact.half_width if shape is DISC else exact.contact_radius
     found = tool.gather(case.u)
     on = found["active"] > 0.0
     peak, size = dm.analytic.fit_pressure(found["x"][on, 0], found["pressure"][on])
-    assert size == pytest.approx(expected[1], rel=0.02) and on.sum() >= 9
-    assert peak == pytest.approx(expected[0], rel=0.015)
+    assert size == pytest.approx(width, rel=0.02) and on.sum() >= 9
+    assert peak == pytest.approx(exact.peak_pressure, rel=0.015)
     assert np.abs(tool.tool_moment).max() < 1e-9  # all normals pass through its centre
     assert report.newton_iterations <= 4
 
@@ -315,3 +314,16 @@ def test_a_shape_of_a_user_that_fails_somewhere(change, told):
     with rejected(told, error=(KeyError, RuntimeError) if change is fails else ValueError):
         case.press(Half(change))
     assert not case.u.x.array.any()
+
+
+def test_what_a_tool_does_is_undone_when_it_rolls_back():
+    """Its way at points that slide on it, by which its work is told, is the opposite then."""
+    case, rng = Block(n=4), np.random.default_rng(4)
+    tool = case.tool(DISC)
+    tool.take(None, case.V)
+    before, ended = rng.uniform(-1.0, 1.0, (2, 30, 2))
+    tool.position.value[:], tool.rotation.value = (0.7, R), 0.8
+    way = tool.tool.way(before, ended)
+    tool.restore(tool.state(True))
+    tool.position.value[:], tool.rotation.value = (0.0, R), 0.0
+    assert tool.tool.way(ended, before) == pytest.approx(-way, abs=1e-13)

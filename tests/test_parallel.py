@@ -24,7 +24,7 @@ ON_TWO = """
     point_terms progress results summary tags terms
 """.split()
 SLOW_ON_THREE = """
-    contracts/interfaces convected driven_tools exact_tangent finite_sliding friction_path
+    contracts/interfaces driven_tools exact_tangent finite_sliding friction_path
     load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.common.agreement import find_constants
-from dolfinx_mortar.steps.ramp import check_range, read_ramps
+from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree
@@ -151,16 +151,27 @@ def test_levels_that_a_table_does_not_hold():
 def test_a_walk_goes_on_with_its_tables(folder):
     """After three of four levels, in another numbering; the tables may end elsewhere."""
     file = folder / "run.h5"
-    whole, first, second = Press(), Press(), Press(partition="stripes")
+    whole, first, second, third = Press(), Press(), Press(partition="stripes"), Press()
     list(whole.walk(LEVELS, on_time=None, ramp={whole.top: ROWS}))
     list(first.walk(LEVELS[:3], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
     farther = [*ROWS, (2.0, (0.5, -0.5))]
     left = list(second.walk(LEVELS, on_time=None, ramp={second.top: farther}, checkpoint=file))
     assert [step.number for step in left] == [4]
     agree(second.numbers(), whole.numbers())
-    third = Press()
     assert not list(third.walk(LEVELS, on_time=None, ramp={third.top: farther}, checkpoint=file))
     assert np.allclose(third.top.value, [0.00137500, -0.006125])  # of level 0.75
+
+
+def test_tables_are_compared_where_the_walk_has_been():
+    """At the corners of both, by more than round-off."""
+    number, rows = constant(0.0), [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
+    saved = [read_ramps(COMM, {number: rows})[0].rows]
+    other = [[(t, v * (1 + error)) for t, v in rows] for error in (1e-14, 1e-10)]
+    for table, differs in zip([*other, rows[::2]], (False, True, True), strict=True):
+        found = difference(saved, read_ramps(COMM, {number: table}), [0.0, 1.0])
+        assert bool(found) == differs
+    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
+    assert "another shape" in difference(saved, vector, [0.0, 1.0])
 
 
 @pytest.mark.mpi
@@ -169,16 +180,9 @@ def test_a_walk_does_not_go_on_with_other_tables(folder):
     first = Press()
     list(first.walk(LEVELS[:2], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
     other = [ROWS[0], (0.4, (0.001, -0.005)), ROWS[2]]
-    for rows, words in (
-        (other, "table 1 gives [0.001, -0.005] at level 0.4 now, [0.000666"),
-        ([(t, (0.0, v[1])) for t, v in ROWS], "at level 0.5 now, "),
-    ):
-        press = Press()
-        with rejected(
-            "ramp: ", words, f"the checkpoint {str(file)!r} was written: give the tables"
-        ):
-            next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}, checkpoint=file))
-        assert not press.problem.history and not press.problem.u.x.array.any()
-    press = Press()
+    press, said = Press(), "table 1 gives [0.001, -0.005] at level 0.4 now, [0.000666"
+    with rejected("ramp: ", said, f"the checkpoint {str(file)!r} was written: give the tables"):
+        next(press.walk(LEVELS, on_time=None, ramp={press.top: other}, checkpoint=file))
+    assert not press.problem.history and not press.problem.u.x.array.any()
     with rejected("ramp: there are 0 tables now, 1 then"):
         next(press.walk(LEVELS, checkpoint=file))

@@ -14,6 +14,7 @@ from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.solid import create_displacement, hold, plane, tag_facets
 from tests.cases.two_bodies import create_problem
 
+pytestmark = pytest.mark.mpi
 TIGHT = 1e-11
 
 
@@ -31,7 +32,6 @@ def loaded_bridge(geometry="reference"):
     return problem, dm.newton(problem, rtol=TIGHT), base, wall
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize("geometry", ["reference", "updated"])
 def test_supports_balance_the_loads(geometry):
     """Loads: -2.6 and the weight .65 on the middle of [0, 1.3]; 1 to the right at y = 1/2."""
@@ -59,20 +59,6 @@ def test_supports_balance_the_loads(geometry):
         assert (moved.about == about).all() and (total.about == 0.0).all()
 
 
-@pytest.mark.mpi
-def test_moments_are_those_of_where_the_bodies_are():
-    """A block that has travelled by half its width: both supports balance where it is now."""
-    b = Blocks(PILE[:2])
-    contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
-    travel = fem.Constant(b.mesh, default_scalar_type((0.5, -0.01)))
-    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE, value=travel)])
-    dm.newton(problem)
-    below, above = (dm.reaction(problem, bc) for bc in problem.bcs)
-    couple = 0.5 * below.force[1]  # that of the places where they were
-    assert couple > 1.0 and abs(below.moment + above.moment) < 0.05 * couple
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("friction", [None, 0.3])
 @pytest.mark.parametrize("slave", [1, 2])
 def test_a_side_that_is_held_and_touched(slave, friction):
@@ -107,7 +93,6 @@ def cube():
     return create_problem(u, (), bcs, STEEL, loads=loads), tags
 
 
-@pytest.mark.mpi
 def test_moments_in_space():
     """The pull (1, 2, 3) acts at (.5, .5, 1); every way to name the support is the same."""
     problem, tags = cube()
@@ -124,7 +109,6 @@ def test_moments_in_space():
         assert found.moment == pytest.approx(expected, rel=1e-9) and found.moment.shape == (3,)
 
 
-@pytest.mark.mpi
 def test_the_whole_ring():
     """A tube 1 < r < 2 pressed at its end: 3 pi p; no moment about the axis' points."""
     b = Blocks([(1.0, 2.0, 0.0, 1.0, 3, 2)], cell="quadrilateral")
@@ -140,7 +124,6 @@ def test_the_whole_ring():
         dm.reaction(problem, about=[0.0, 0.0])
 
 
-@pytest.mark.mpi
 def test_it_is_that_of_the_last_step_whatever_comes_after():
     """Loads and u that are set anew, a failed step: as with the forces of contacts."""
     problem, _, base, _ = loaded_bridge()
@@ -159,7 +142,6 @@ def test_it_is_that_of_the_last_step_whatever_comes_after():
         dm.reaction(problem)
 
 
-@pytest.mark.mpi
 def test_rows_of_load_steps_have_it_and_a_checkpoint_too(folder):
     file, case, other = folder / "walk.h5", PressedBlocks(), PressedBlocks()
     problem, again = case.problem(), other.problem()
@@ -174,7 +156,6 @@ def test_rows_of_load_steps_have_it_and_a_checkpoint_too(folder):
     assert dm.summarise(again.history[-1])["reactions"] == json.loads(json.dumps(row["reactions"]))
 
 
-@pytest.mark.mpi
 def test_supports_that_are_none():
     problem, tags = cube()
     dm.newton(problem)

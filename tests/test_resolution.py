@@ -14,6 +14,8 @@ from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
 
+pytestmark = pytest.mark.mpi
+
 
 def said(report):
     found = [
@@ -23,7 +25,6 @@ def said(report):
     return [int(match[1]) for match in found if match]
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(("depth", "few"), [(1e-3, True), (0.02, False)])
 def test_few_nodes_of_a_disc(depth, few):
     """As many as are active, which is what the error of the peak goes by."""
@@ -37,7 +38,6 @@ def test_few_nodes_of_a_disc(depth, few):
     assert (abs(found["pressure"].max() / hertz.peak_pressure - 1.0) < 0.03) != few
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("cell", "few"), quick([("hexahedron", 13), ("tetrahedron", 9)], ("tetrahedron", 9))
 )
@@ -53,7 +53,6 @@ def test_a_quarter_stands_for_the_whole(cell, few):
     assert not said(dm.newton(problem))
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(("slope", "times"), [(0.01, 1), (0.0, 2)])
 def test_a_roller_is_no_plane_of_symmetry(slope, times):
     """Where a side ends at an angle, no node stands for two; at a right angle all but one do."""

@@ -84,7 +84,6 @@ WRONG = [
     (lambda: shapes.Wedge([0, 0, 0], 45.0, [0, 0, 1], edge=[0, 1, 1]), ("edge", "across")),
     (lambda: shapes.Union(3), ("Union: a shape is 3", "one or more")),
     (lambda: shapes.Union(APART[0], shapes.Sphere([0, 0, 0], 1.0)), ("[2, 3] coordinates",)),
-    (lambda: shapes.Complement("ball"), ("Complement: shape is 'ball'",)),
     (
         lambda: shapes.berkovich([0, 0, 0], [0, 0, 1], True),
         ("turned is True", ">= -360 and <= 360"),

@@ -13,6 +13,8 @@ from dolfinx_mortar.report.certificate import LARGEST_SHARE, find_left_out
 from dolfinx_mortar.solid.kinematics import plane_strain
 from tests.cases.hertz import PLASTIC, create_case, create_mesh
 from tests.cases.material_point import MaterialPoint
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.solid import create_displacement, create_domain, hold, plane, rectangle
 from tests.cases.two_bodies import create_problem
 from tests.cases.user_laws import green_lagrange
@@ -186,3 +188,12 @@ def test_a_strain_in_a_small_part_is_noted(size, noted):
 def test_a_body_at_rest_leaves_nothing_out():
     c = Moved().move(np.zeros((2, 2))).certificate
     assert c.left_out_strain == c.left_out_work == c.left_out_lengths == c.rotation == 0.0
+
+
+def test_the_note_names_the_body_that_turns():
+    """Of two that do not touch; the other one does not count."""
+    case = PressedBlocks()
+    top = fem.Function(case.V)
+    top.interpolate(lambda x: turn(1.0) @ (x[:2] - np.array([[0.5], [9.0]])) + [[0.0], [1.0]])
+    (note,) = told(dm.newton(case.problem(bcs=[case.bc(BOTTOM), case.bc(TOP, top)])))
+    assert note.startswith("the body around [0.5, 0.5]: ")

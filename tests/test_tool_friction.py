@@ -173,3 +173,21 @@ def test_in_space_a_disc_of_slip():
     tool.rotation.value[2] += 0.8
     (told,) = [note for note in pressed.step().notes if "about normals" in note]
     assert "46 degrees" in told
+
+
+def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
+    """On frozen surfaces they are those of the rigid motion, of the turn to third order."""
+    case, turn, far = Held(n=3, size=1.0, fine=0.8), 0.01, 100.0
+    plane = dm.shapes.Plane([0.4, 0.0], [0.0, -1.0])
+    tool = case.tool(plane, friction=1e-9, reference=[0.5 + far, 0.0])
+    _, problem, _ = case.press(tool, law=SOFT, geometry="reference")
+    problem.commit()
+    before = case.u.x.array.copy()
+    tool.position.value[:] += far * np.array([np.cos(turn) - 1.0, np.sin(turn)])
+    tool.rotation.value = turn
+    dm.newton(problem, rtol=1e-10)
+    closed = tool.active.x.array > 0.0
+    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool.way(case.X, case.X)
+    slip = tool.step_slip.x.array.reshape(-1, 2)
+    assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
+    assert COMM.allreduce(int(closed.sum())) > 0

@@ -19,6 +19,7 @@ from tests.cases.pressed_blocks import rejected
 from tests.cases.rings import Lame
 from tests.cases.solid import (
     create_displacement,
+    create_domain,
     hold,
     largest,
     plane,
@@ -39,15 +40,12 @@ LAW, PLASTIC = dm.Elastic(E, NU), dm.VonMises(E, NU, 5.0, 50.0)
 
 
 def warped(cell, cells=3):
-    """Return the displacement of a unit block whose inner nodes are displaced."""
-    d = 2 if cell in ("quadrilateral", "triangle") else 3
-    domain = rectangle([d * [0.0], d * [1.0]], d * [cells], cell)
+    """Return the displacement of a box whose cells are no parallelograms."""
+    domain = create_domain(cell, cells)
     x = domain.geometry.x
-    inside = (np.abs(x[:, :d] - 0.5) < 0.499).all(axis=1)
-    wave = np.stack(
-        [np.sin(7 * x @ [1, 2, 3]), np.cos(9 * x @ [3, 1, 2]), np.sin(8 * x @ [1, 3, 1])]
-    )
-    x[inside, :d] += 0.25 / cells * wave.T[inside, :d]
+    x *= 0.5
+    x[:, 0] *= 1.0 + 0.4 * x[:, 1]
+    x[:, 1] *= 1.0 - 0.3 * x[:, 0]
     return create_displacement(domain)
 
 
