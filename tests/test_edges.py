@@ -130,22 +130,6 @@ def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
 
 
 @SLAVES
-def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave):
-    """A vertex of the slave or of the master, moved into the other side after the solution."""
-    case = on_a_corner()
-    contact = case.interface(slave=slave)
-    problem = case.problem([contact], case.bcs(0.0, 0.001))
-    dm.newton(problem)
-    assert lost(contact, problem) == []
-    for depth in (0.04, 0.6):
-        case.raise_upper(0.0, -depth)
-        found = lost(contact, problem)
-        if depth < 0.5:
-            assert found == [(pytest.approx([0.5, -depth]), depth, 12)]
-        assert all(d < 0.5 for _, d, _ in found)
-
-
-@SLAVES
 def test_a_bulge_between_vertices_is_seen(slave):
     """Curved sides lie in each other where neither has a vertex."""
     case = TwoBodies(degree=2, n_lower=(1, 1), n_upper=(1, 1), gap=0.01)

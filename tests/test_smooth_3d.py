@@ -13,7 +13,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.cases.two_bodies import create_problem, held
+from tests.cases.ball import create_problem
 from tests.choice import crosswise
 
 CELLS = ["tetrahedron", "hexahedron"]
@@ -108,31 +108,17 @@ def test_the_curvature_tells_mirrors_from_other_supports(name, cell, degree):
     assert not judge_supports(surface, fixed[:, :1].repeat(3, axis=1), 40.0)[0].any()
 
 
-def press_sphere(cell, degree, slave, *, half):
+def press(half, **options):
     """Press a quarter of a ball or half of it on a block; return twice, or once, the force."""
-    m = dm.meshing.sphere(MPI.COMM_WORLD, h=1.0, cell=cell, core=1.0, radius=8.0, half=half)
-    V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
-    names = [("bottom", 2, 0.0), ("flat", 2, -0.2), ("symmetry_y", 1, 0.0)]
-    names += [] if half else [("symmetry_x", 0, 0.0)]
-    bcs = [held(V, m.facet_tags, name, value, i) for name, i, value in names]
-    if half:  # neither body moves along x
-        W, (Q, _) = V.sub(0), V.sub(0).collapse()
-        ends = fem.locate_dofs_geometrical(
-            (W, Q), lambda x: np.isclose(x[0], 0) & (np.isclose(x[2], 8) | np.isclose(x[2], -10))
-        )
-        bcs.append(fem.dirichletbc(fem.Function(Q), ends, W))
-    sides = ("sphere", "top") if slave == "sphere" else ("top", "sphere")
-    contact = dm.Contact(m.facet_tags, slave=sides[0], master=sides[1])
-    options = {"geometry": "reference"}
-    problem = create_problem(V, [contact], bcs, dm.Elastic(200e3, 0.3), **options)
+    problem, contact = create_problem(h=1.0, half=half, **options)
     dm.newton(problem, rtol=1e-10)
     pressure = contact.gather(problem.u)["pressure"].max()
     return (1 if half else 2) * abs(contact.force[2]), pressure
 
 
-@pytest.mark.parametrize("slave", ["sphere", "top"])
+@pytest.mark.parametrize("slave", ["ball", "block"])
 @pytest.mark.parametrize(("cell", "degree"), [("tetrahedron", 2), ("hexahedron", 1)])
 def test_half_of_a_model_is_as_the_whole(cell, degree, slave):
     """On a plane of symmetry normals are those of the whole: of both sides, and between nodes."""
-    part, whole = (press_sphere(cell, degree, slave, half=half) for half in (False, True))
+    part, whole = (press(half, cell=cell, degree=degree, slave=slave) for half in (False, True))
     assert part == pytest.approx(whole, rel=1e-9)
