@@ -347,10 +347,6 @@ def test_what_only_one_of_them_refuses():
     mesh, _, tags = blocks("triangle", order=2, transform=lambda x: bent(x.T).T)
     with rejected("V", "cells of the mesh are of degree 2", "degree 1"):
         dm.assemble_mortar(scalars(mesh, 1), tags, **SIDES)
-    lengths = [
-        COMM.allreduce(dm.segments(scalars(mesh, k), tags, **SIDES).weight.sum()) for k in (1, 2)
-    ]
-    assert lengths[0] == lengths[1] > 1.0
 
 
 @pytest.mark.mpi

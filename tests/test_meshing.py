@@ -18,7 +18,6 @@ COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
 SOLID = ["hexahedron", "tetrahedron"]
 OPTIONS = {"kind": "graded", "h": 0.3, "radius": 6.0, "block": (20.0, 8.0), "gap": 0.25}
-BALL = {"h": 0.25, "radius": 6.0, "block": (24.0, 20.0, 8.0), "gap": 0.25}
 
 
 def measures(m, tags):
@@ -131,17 +130,6 @@ def test_halves_and_images(cell):
     sizes, _ = measures(half, (1, 2, 3, 5))
     assert sizes == pytest.approx([10.0, 6.0, 10.0, 14.0], rel=1e-12)
     assert cKDTree(x).query(y)[0].max() < 1e-12 and 2 * len(cells) == len(all_cells)
-
-
-@pytest.mark.parametrize("cell", SOLID)
-def test_the_half_ball_is_the_quarter_and_its_image(cell):
-    quarter, half = (meshing.sphere(COMM, cell=cell, half=k, **BALL) for k in (False, True))
-    (sizes, flux), (twice, both) = (measures(m, range(1, 7)) for m in (quarter, half))
-    expected = 2.0 * sizes * [1, 1, 1, 1, 0, 1]
-    assert twice == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert volumes(half) == pytest.approx(2.0 * np.array(volumes(quarter)), rel=1e-9)
-    assert both[:, 0] == pytest.approx(np.zeros(6), abs=1e-8)
-    assert both[:, 2] == pytest.approx(2.0 * flux[:, 2], rel=1e-9)
 
 
 @pytest.mark.parametrize(("cell", "limit"), [("triangle", 10.0), ("quadrilateral", 4.0)])

@@ -41,8 +41,8 @@ COMM = MPI.COMM_WORLD
 @pytest.mark.mpi
 def test_a_ring_closes_on_itself():
     """Nothing is near at first; then it is found before it touches, and forces balance."""
-    found = closed_ring(COMM, "graph")
-    alone = COMM.bcast(closed_ring(MPI.COMM_SELF, "graph") if COMM.rank == 0 else None)
+    found = closed_ring(COMM)
+    alone = COMM.bcast(closed_ring(MPI.COMM_SELF) if COMM.rank == 0 else None)
     np.testing.assert_allclose(found, alone, rtol=1e-8, atol=1e-12)
 
 
