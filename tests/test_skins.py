@@ -16,50 +16,32 @@ from tests.cases.meshes_3d import rotation, two_boxes
 from tests.cases.two_bodies import SIDES, TwoBodies
 
 COMM = MPI.COMM_WORLD
-CELLS = pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
 HEIGHTS = 0.5, 0.75
 
 
-def create(cell, partition="graph", **options):
-    """Return space, tags of the sides alone, of whole skins, of skins but for supports, and up."""
+def create(cell, **options):
+    """Return space, tags of whole skins, and up."""
     if cell == "triangle":
         up = np.array([-np.sin(0.4), np.cos(0.4)])
         mesh, cells, facets = two_blocks(
-            COMM, (6, 3), (5, 4), angle=0.4, heights=HEIGHTS, partition=partition, **options
+            COMM, (6, 3), (5, 4), angle=0.4, heights=HEIGHTS, **options
         )
     else:
         turn = rotation((1, 2, 3), 0.7)
         up = turn @ [0.0, 0.0, 1.0]
         mesh, cells, facets = two_boxes(
-            COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=HEIGHTS, partition=partition,
-            **options,
+            COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=HEIGHTS, **options,
         )  # fmt: skip
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-    return V, facets, skins(mesh, cells, facets, keep=()), skins(mesh, cells, facets), up
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
-@CELLS
-def test_thickness_behind_the_facets_of_a_skin(cell, partition):
-    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
-    V, flat, *others, up = create(cell, partition)
-    for tag, height in zip(SIDES, HEIGHTS, strict=True):
-        assert np.isinf(create_surface(V, flat, tag, "side").thickness).all()
-        for tags in others:
-            skin = create_surface(V, tags, tag, "side")
-            n = facet_normals(facets_at(skin, skin.X))
-            expected = np.where(np.abs(n @ up) > 0.5, height, 1.0)
-            assert COMM.allreduce(len(n)) > 0
-            assert np.abs(skin.thickness - expected).max(initial=0) < 1e-12
+    return V, skins(mesh, cells, facets, keep=()), up
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("gap", [0.1, -0.1])
-@CELLS
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
 def test_partners_face_each_other_from_outside(cell, gap):
     """Whole skins have the partners of the two sides between the bodies, and no others."""
-    V, _, tags, _, up = create(cell, gap=gap)
+    V, tags, up = create(cell, gap=gap)
     for slave, master in (SIDES, SIDES[::-1]):
         sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
         pairing = create_pairing(*sides, None)
