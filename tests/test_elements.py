@@ -13,7 +13,6 @@ from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
     distortions,
-    facet_normals,
     normals_at_nodes,
     points_of,
     tributary_weights,
@@ -48,15 +47,6 @@ def test_functions_are_nodal_in_dolfinx_order(element):
 
 
 @ELEMENTS
-def test_derivatives(element):
-    """Of degree two at most: central differences over any step in one direction are exact."""
-    xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
-    for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
-        up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
-        assert np.abs(element.functions(xi)[1][:, a] - (up - down)).max() < 1e-15
-
-
-@ELEMENTS
 def test_rule_integrates_the_functions(element):
     """First-order functions have the same integral each; the weights add up to one."""
     points, weights = element.rule
@@ -70,14 +60,6 @@ MEANS = {  # Simpson's, and nothing at the vertices of a triangle
     TRI6: np.array([0, 0, 0, 1, 1, 1]) / 3,
     QUAD9: np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
 }
-
-
-@ELEMENTS
-def test_mirrored_facets_have_the_opposite_normal(element):
-    d = nodes(element).shape[1] + 1
-    x = np.random.default_rng(2).uniform(-1, 1, (5, element.nodes, d))
-    normals = facet_normals(Facets(element, x))
-    assert np.abs(facet_normals(Facets(element, x[:, element.mirrored])) + normals).max() < 1e-14
 
 
 def test_weights_of_a_bilinear_facet():

@@ -12,7 +12,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing import two_bodies
-from tests.cases.integrals import integral
+from tests.cases.integrals import integral, sizes
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
@@ -22,17 +22,15 @@ OPTIONS = {"kind": "graded", "h": 0.3, "radius": 6.0, "block": (20.0, 8.0), "gap
 
 def measures(m, tags):
     """Return areas or lengths of sides, and the integrals (sides, d) of their outward normals."""
-    one, n = fem.Constant(m.mesh, 1.0), ufl.FacetNormal(m.mesh)
+    n = ufl.FacetNormal(m.mesh)
     ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
     flux = [[integral(n[i] * ds(t)) for i in range(m.mesh.geometry.dim)] for t in tags]
-    return np.array([integral(one * ds(t)) for t in tags]), np.array(flux)
+    return np.array([*sizes(m.mesh, m.facet_tags, "ds", tags).values()]), np.array(flux)
 
 
 def volumes(m):
-    """Return areas or volumes of block and round body, by name and by tag."""
-    dx, one = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags), fem.Constant(m.mesh, 1.0)
-    round_one = "disc" if m.mesh.geometry.dim == 2 else "ball"
-    return [integral(one * dx(m.cell_tags.tag(name))) for name in ("block", round_one)]
+    """Return areas or volumes of block and round body."""
+    return [*sizes(m.mesh, m.cell_tags, "dx", (1, 2)).values()]
 
 
 def count(m):
