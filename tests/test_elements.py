@@ -12,7 +12,6 @@ from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUA
 from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
-    distortions,
     normals_at_nodes,
     points_of,
     tributary_weights,
@@ -78,14 +77,6 @@ def test_curved_facets_have_the_normals_and_the_length_of_the_parabola():
     length = (np.sqrt(2) + np.arcsinh(1.0)) / 2
     assert tributary_weights(facets).sum() == pytest.approx(length, abs=1e-8)
     assert (area_vectors(facets) == [[0.5, -1.0]]).all()
-
-
-@pytest.mark.parametrize("at, quality", [(0.5, 1.0), (0.4, 0.6), (0.25, 0.0), (0.1, -0.6)])
-def test_nodes_off_the_middle_spoil_a_facet(at, quality):
-    """Its length at the nearer end falls to zero at a quarter, beyond which it is folded."""
-    facets = Facets(LINE3, np.array([[[0.0, 0.0], [3.0, 0.0], [3 * at, 0.0]]]))
-    found = distortions(facets)[0]
-    assert found == pytest.approx(quality, abs=1e-14) if quality >= 0 else found < 0
 
 
 def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
