@@ -14,7 +14,7 @@ STEEL = dm.Elastic(E=206_900.0, nu=0.29)
 
 
 @lru_cache
-def create_mesh(h, cell, half):
+def create_mesh(h, cell, half=False):
     """Return one mesh per size: another call may partition it in another way."""
     return dm.meshing.sphere(MPI.COMM_WORLD, h=h, cell=cell, half=half)
 
