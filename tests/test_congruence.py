@@ -92,21 +92,16 @@ def test_nothing_is_decoupled_in_product(matrices, rng):
     assert (y - expected).norm() < 1e-14 * y.norm()
 
 
-def test_the_diagonal_needs_no_product(matrices):
-    """For other values and patterns of C, those with fewer rows included, and other K.
+def test_the_diagonal_is_that_of_the_diagonal(matrices):
+    """Of other values and patterns of C, those with fewer rows included, and other K.
 
     Terms of K off its diagonal are left out.
     """
     K, C = matrices
     operator = CongruentOperator(K)
-    none = np.empty(0, dtype=np.int32)
-    PETSc.Log.begin()
 
     def follow(C):
-        """Check that no product is analysed, and the diagonal."""
-        before = PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"]
-        operator.follow(C, none)
-        assert PETSc.Log.Event("MatMatMultSym").getPerfInfo()["count"] == before
+        operator.follow(C, np.empty(0, dtype=np.int32))
         expected = diagonal_by_hand(K, C)
         assert (operator.diagonal - expected).norm() < 1e-13 * expected.norm()
 

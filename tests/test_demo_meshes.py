@@ -6,12 +6,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import ufl
 from demos.ball_joint.ball_in_socket import ball_in_socket
 from demos.shrink_fit.tubes import tubes
 from demos.tied_cylinder.ring_section import ring_section
-from dolfinx import fem
-from tests.cases.integrals import integral
+from tests.cases.integrals import sizes
 
 COMM = MPI.COMM_WORLD
 RADII, LENGTH = np.array([1.0, 1.5, 2.5]), 3.0
@@ -19,11 +17,9 @@ RADII, LENGTH = np.array([1.0, 1.5, 2.5]), 3.0
 
 def measures(m, count):
     """Return the sizes of the bodies by tag 1, 2, and of the sides by tag 1 to count."""
-    one = fem.Constant(m.mesh, 1.0)
-    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
-    dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
-    bodies = [integral(one * dx(tag)) for tag in (1, 2)]
-    return bodies, [integral(one * ds(tag)) for tag in range(1, count + 1)]
+    bodies = sizes(m.mesh, m.cell_tags, "dx", (1, 2))
+    sides = sizes(m.mesh, m.facet_tags, "ds", range(1, count + 1))
+    return [*bodies.values()], [*sides.values()]
 
 
 def chord(r, n):

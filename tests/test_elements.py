@@ -12,8 +12,6 @@ from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUA
 from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
-    distortions,
-    facet_normals,
     normals_at_nodes,
     points_of,
     tributary_weights,
@@ -48,15 +46,6 @@ def test_functions_are_nodal_in_dolfinx_order(element):
 
 
 @ELEMENTS
-def test_derivatives(element):
-    """Of degree two at most: central differences over any step in one direction are exact."""
-    xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
-    for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
-        up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
-        assert np.abs(element.functions(xi)[1][:, a] - (up - down)).max() < 1e-15
-
-
-@ELEMENTS
 def test_rule_integrates_the_functions(element):
     """First-order functions have the same integral each; the weights add up to one."""
     points, weights = element.rule
@@ -70,14 +59,6 @@ MEANS = {  # Simpson's, and nothing at the vertices of a triangle
     TRI6: np.array([0, 0, 0, 1, 1, 1]) / 3,
     QUAD9: np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
 }
-
-
-@ELEMENTS
-def test_mirrored_facets_have_the_opposite_normal(element):
-    d = nodes(element).shape[1] + 1
-    x = np.random.default_rng(2).uniform(-1, 1, (5, element.nodes, d))
-    normals = facet_normals(Facets(element, x))
-    assert np.abs(facet_normals(Facets(element, x[:, element.mirrored])) + normals).max() < 1e-14
 
 
 def test_weights_of_a_bilinear_facet():
@@ -96,14 +77,6 @@ def test_curved_facets_have_the_normals_and_the_length_of_the_parabola():
     length = (np.sqrt(2) + np.arcsinh(1.0)) / 2
     assert tributary_weights(facets).sum() == pytest.approx(length, abs=1e-8)
     assert (area_vectors(facets) == [[0.5, -1.0]]).all()
-
-
-@pytest.mark.parametrize("at, quality", [(0.5, 1.0), (0.4, 0.6), (0.25, 0.0), (0.1, -0.6)])
-def test_nodes_off_the_middle_spoil_a_facet(at, quality):
-    """Its length at the nearer end falls to zero at a quarter, beyond which it is folded."""
-    facets = Facets(LINE3, np.array([[[0.0, 0.0], [3.0, 0.0], [3 * at, 0.0]]]))
-    found = distortions(facets)[0]
-    assert found == pytest.approx(quality, abs=1e-14) if quality >= 0 else found < 0
 
 
 def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():

@@ -14,7 +14,6 @@ from dolfinx_mortar.qp import (
     LinearSolver,
     check_options,
 )
-from dolfinx_mortar.qp.preconditioner import Renewal
 
 COMM = MPI.COMM_WORLD
 RTOL = 1e-11
@@ -240,22 +239,3 @@ def test_options_of_methods_that_are_used_are_not_named(qp):
     for linear in (direct, multigrid):
         solved(linear, qp, none())
         assert linear.options.unread() == []
-
-
-# -- when to renew
-
-
-def test_multigrid_is_renewed_for_the_sum_of_what_an_old_one_has_cost():
-    """A new one gains a digit with each iteration, the old one half a digit."""
-    renewal = Renewal(6, direct=False)
-    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
-    for solves in (1, 2, 3):
-        assert not renewal.is_far(1000)
-        renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
-        assert renewal.excess == pytest.approx(2.5 * solves)
-    assert renewal.is_far(0)
-    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
-    assert not renewal.is_far(0)
-    renewal.learn([1.0], stale=False)  # nothing to solve tells nothing
-    renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
-    assert renewal.excess == pytest.approx(2.5)

@@ -13,7 +13,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from tests.cases.meshes import UPPER, two_blocks
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.meshes_3d import rotation, two_boxes
 from tests.cases.mortar import moving, pair_up, space
 from tests.test_mortar import PARTITIONS
 
@@ -42,16 +42,10 @@ def slide(pairing, nodes, shift):
     return u
 
 
-def with_segments(pairing, u):
-    """Return {(slave facet, global nodes of the master facet)} of all segments of this rank."""
-    found = find_segments(pairing, u)[0]
+def named(pairing, slave, master):
+    """Return {(slave facet, global nodes of the master facet)} of pairs on this rank."""
     nodes = pairing.master_nodes[pairing.master_facets]
-    return {(s, *nodes[m]) for s, m in zip(found.slave.tolist(), found.master, strict=True)}
-
-
-def candidates(pairing):
-    nodes = pairing.master_nodes[pairing.master_facets]
-    return {(s, *nodes[m]) for s, m in pairing.pairs.tolist()}
+    return {(s, *nodes[m]) for s, m in zip(slave.tolist(), master, strict=True)}
 
 
 CELLS = pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
@@ -62,12 +56,13 @@ CELLS = pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"
 def test_a_segment_of_a_pair_that_is_no_candidate_calls_for_a_search(cell, partition):
     """Bodies slide step by step: whenever a fresh search has a segment that is not provided for."""
     pairing, upper = two_sides(cell, partition)
-    known, lost = candidates(pairing), []
+    known, lost = named(pairing, *pairing.pairs.T), []
     direction = np.array([0.8, 0.6, 0.0] if cell != "triangle" else [1.0, 0.0])
     for amount in np.linspace(0.0, 0.7, 8):
         u = slide(pairing, upper, amount * direction)
         fresh = create_pairing(pairing.slave, pairing.master, u, moving=False)
-        lost.append(any_rank(COMM, bool(with_segments(fresh, u) - known))[0])
+        found = find_segments(fresh, u)[0]
+        lost.append(any_rank(COMM, bool(named(fresh, found.slave, found.master) - known))[0])
         assert outside_margin(pairing, u) or not lost[-1]
     assert not lost[0]
     assert lost[-1]
@@ -90,9 +85,11 @@ def test_one_missing_candidate_is_noticed(cell):
 
 @pytest.mark.parametrize("partition", PARTITIONS)
 def test_margin_of_sliding(partition):
-    """Half a facet of sliding is within the margin, several are not; a new search has a new one."""
-    _, pairing, upper = moving(partition)
-    assert not outside_margin(pairing, None)
+    """Half a facet of sliding and rigid motions are within the margin, several facets are not."""
+    V, pairing, upper = moving(partition)
+    u, R = fem.Function(V), rotation((0, 0, 1), 0.7)[:2, :2] - np.eye(2)
+    u.interpolate(lambda x: np.array([[5.0], [-3.0]]) + R @ x[:2])
+    assert not outside_margin(pairing, None) and not outside_margin(pairing, u)
     for amount in (0.0, 0.08, -0.08, 1.0, -1.0):
         u = slide(pairing, upper, (amount, 0.0))
         assert outside_margin(pairing, u) == (abs(amount) > 0.5)

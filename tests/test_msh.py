@@ -7,22 +7,13 @@ from mpi4py import MPI
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx import fem
 from dolfinx_mortar.common.compat import cell_degree
-from tests.cases.integrals import integral
+from tests.cases.integrals import sizes
 from tests.cases.msh_files import boxes, folder, msh_file, squares
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 pytest.importorskip("gmsh")
-
-
-def sizes(mesh, tags, measure):
-    """Return length, area or volume by name."""
-    one = fem.Constant(mesh, 1.0)
-    d = ufl.Measure(measure, mesh, subdomain_data=tags)
-    return {name: integral(one * d(tags.tag(name))) for name in tags.names}
 
 
 @pytest.mark.mpi

@@ -147,7 +147,7 @@ def test_walls_pass_the_patch_test_with_proposed_contacts(boxes):
 @pytest.mark.serial
 def test_slaves_of_many_blocks():
     """A wall of 32 blocks has more pairs than are compared in all ways: hardly any cycles."""
-    rng, boxes = np.random.default_rng(1), []
+    rng, boxes = np.random.default_rng(2), []
     for row in range(5):
         cuts = [0.0, *np.arange(0.5 * (row % 2) or 1.0, 6.0), 6.0]
         for a, b in pairwise(cuts):

@@ -34,7 +34,7 @@ AT_NIGHT = """
     impact jump jump_errors kinematics linear linearisation margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
-    resolution rubber skins small_strain smooth_3d smooth_contact smooth_tie solid
+    resolution rubber small_strain smooth_3d smooth_contact smooth_tie solid
     stack sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
     user_laws volumetric
 """.split()

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from demos.shrink_fit.lame import shrink_fit
+from tests.cases.rings import Lame
 
 RADII, LENGTH, MU = (10.0, 20.0, 35.0), 25.0, 0.2
 BODIES = (200e3, 0.3, 100e3, 0.33)
@@ -14,10 +15,8 @@ BODIES = (200e3, 0.3, 100e3, 0.33)
 
 def cylinder(E, nu, inner, outer, inside, outside, axial, r):
     """Return the radial displacement of a thick cylinder under pressures and axial stress."""
-    a2, b2 = inner**2, outer**2
-    mean = (inside * a2 - outside * b2) / (b2 - a2)
-    swing = (inside - outside) * a2 * b2 / (b2 - a2)
-    radial, hoop = mean - swing / r**2, mean + swing / r**2
+    lame = Lame(E, nu, inner, outer, inside, outside)
+    radial, hoop = lame.mean - lame.swing / r**2, lame.mean + lame.swing / r**2
     return r / E * (hoop - nu * (radial + axial))
 
 

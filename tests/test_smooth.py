@@ -218,7 +218,7 @@ def test_the_feature_angle_tells_edges_from_curves(case):
 # -- where there is no normal ----------------------------------------------------------------------
 
 
-def test_opposite_facets_have_no_normal(angle=0.7):
+def test_opposite_facets_have_no_normal():
     """At the tip of a crack the one-ring of a node cancels: facets count, the audit is told."""
     domain, tags = cracked()
     lips = np.isin(tags.values, (20, 11))
@@ -226,7 +226,7 @@ def test_opposite_facets_have_no_normal(angle=0.7):
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     surface = create_surface(V, tags, 3, "slave")
     end = np.abs(surface.X[:, 0] - TIP) < 1e-9
-    x, fixed = (surface.X + 3.0) @ rotation((0, 0, 1), angle)[:2, :2], np.zeros((len(end), 2), bool)
+    x, fixed = (surface.X + 3.0) @ rotation((0, 0, 1), 0.7)[:2, :2], np.zeros((len(end), 2), bool)
     found = smooth_normals(surface, x, fixed, 180.0)
     assert np.array_equal(found.sharp, end) and end.sum() == 1 < len(end)
     for n in (found.n, nodal_normals(surface, x)):  # what is left is round-off, no direction

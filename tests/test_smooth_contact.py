@@ -13,11 +13,11 @@ from dolfinx_mortar.mortar.surface import create_surface, thickness_stretches
 from dolfinx_mortar.report import notes
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.cases.hertz import create_case
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.meshes import TOP_OF_LOWER
 from tests.cases.mortar import largest
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import rejected
 from tests.cases.shells import RADIUS, to_arc, to_sphere
-from tests.cases.two_bodies import CELLS, COMM, create_problem
+from tests.cases.two_bodies import CELLS, COMM, TwoBodies, create_problem
 from tests.test_smooth_tie import sides
 
 # with 384 and 512 facets, either slave; between 530.2 and 531.4 on five pairs of meshes, on which
@@ -201,19 +201,14 @@ def test_how_far_curvatures_are_apart(clearance):
 
 @pytest.mark.mpi
 def test_the_audit_counts_nodes_on_edges():
-    """The upper block is tagged around its two lower corners."""
-    case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
-    m, tags = case.mesh, case.facets
-    above = mesh.compute_midpoints(m, 1, tags.indices)[:, 1] > 1e-9
-    values = np.where(above & (tags.values != TOP), BOTTOM_OF_UPPER, tags.values)
-    around = mesh.meshtags(m, 1, tags.indices, values.astype(np.int32))
-    for angle, nodes in ((40.0, 2), (150.0, 0)):
-        contact = dm.Contact(around, slave=3, master=4, surface="smooth", feature_angle=angle)
-        audit = case.problem([contact]).audit()
+    """Whole skins but for bottom and top: two corners of each block."""
+    case = TwoBodies(whole=True, n_lower=(5, 3), n_upper=(4, 3))
+    for angle, nodes in ((40.0, 4), (150.0, 0)):
+        audit = case.problem([case.interface(feature_angle=angle)]).audit()
         assert f"{nodes} nodes on edges of {angle:g} degrees or more" in str(audit)
         assert audit.interfaces[0].edges.without_normal == 0
-    flat = case.problem([dm.Contact(tags, slave=3, master=4, surface="facets")])
-    assert flat.audit().interfaces[0].edges is None and "edges" not in str(flat.audit())
+    audit = case.problem([case.interface(surface="facets")]).audit()
+    assert audit.interfaces[0].edges is None and "edges" not in str(audit)
 
 
 # -- after a step

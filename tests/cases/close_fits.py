@@ -2,6 +2,7 @@
 """Rings that fit into each other, for the tests of curved sides: shrink fits, and pins in holes."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -114,15 +115,6 @@ OVERLAP = 0.02
 STEELS = ((200e3, 0.3), (100e3, 0.33))  # of the inner and the outer ring
 
 
-@dataclass
-class ShrinkFit:
-    """A ring in a ring that is too narrow."""
-
-    problem: dm.ContactProblem
-    contact: dm.Contact
-    pressure: float  # Lame's
-
-
 def create_shrink_fit(
     counts,
     swap,
@@ -136,7 +128,7 @@ def create_shrink_fit(
     shift=(0.0, 0.0),
     **options,
 ):
-    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet."""
+    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers; with Lame's pressure."""
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
@@ -158,4 +150,4 @@ def create_shrink_fit(
     E, nu = STEELS[0]
     widened = overlap + 2 * (1 - nu**2) * pressure * a**2 * b / (E * (b**2 - a**2))
     lame = shrink_fit_pressure(E, nu, (a, b, c), widened, STEELS[1])
-    return ShrinkFit(problem, contact, lame)
+    return SimpleNamespace(problem=problem, contact=contact, pressure=lame)

@@ -25,7 +25,6 @@ def create_sheet(
     *,
     cell: str = "quadrilateral",
     closed: bool = False,
-    partition: str = "graph",
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """Return a bent sheet, and its facet tags, all with SKIN."""
     d, lines = len(cells), [np.linspace(0.0, 1.0, n + 1) for n in cells]
@@ -35,8 +34,7 @@ def create_sheet(
         s, number = np.unique(s, axis=0, return_inverse=True)
         e = number.ravel()[e]
     x = place(s)
-    ranks = np.arange(len(e)) * comm.size // len(e)
-    mesh = create_distributed(comm, x, e, cell, 1, partition, ranks)
+    mesh = create_distributed(comm, x, e, cell)
     mesh.topology.create_connectivity(d - 1, d)
     facets = np.sort(dolfinx.mesh.exterior_facet_indices(mesh.topology))
     return mesh, dolfinx.mesh.meshtags(mesh, d - 1, facets, np.full(len(facets), SKIN, np.int32))
@@ -126,10 +124,7 @@ def create_fold(
 def create_ring(comm=MPI.COMM_WORLD, cells=(32, 2), **options) -> Fold:
     """Return a ring that is pressed together between its poles."""
     cell = "quadrilateral" if len(cells) == 2 else "hexahedron"
-    names = {"partition"} & options.keys()
-    sheet = create_sheet(
-        comm, cells, ring(), cell=cell, closed=True, **{n: options.pop(n) for n in names}
-    )
+    sheet = create_sheet(comm, cells, ring(), cell=cell, closed=True)
     return create_fold(sheet, lambda x: x[1] > 0.95, lambda x: x[1] < -0.95, **options)
 
 
@@ -141,10 +136,10 @@ def create_hairpin(comm=MPI.COMM_WORLD, cells=(40, 3), **options) -> Fold:
     return create_fold(sheet, *ends, **options)
 
 
-def closed_ring(comm: MPI.Comm, partition: str) -> np.ndarray:
+def closed_ring(comm: MPI.Comm) -> np.ndarray:
     """Close a ring on itself in five steps; assert what holds; return forces, and nodes closed."""
     bar = 1e-6
-    fold = create_ring(comm, partition=partition)
+    fold = create_ring(comm)
     audit = fold.problem.audit()
     assert audit.warnings == []
     assert (audit.interfaces[0].slave_facets, audit.interfaces[0].master_facets) == (0, 0)

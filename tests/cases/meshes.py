@@ -55,7 +55,8 @@ def box_cells(n, cell: str, order: int = 1) -> npt.NDArray[np.int64]:
     """Return the cells of a grid with n cells per direction; d! simplices in each box."""
     strides = np.cumprod([1, *(order * m + 1 for m in n[:-1])])
     grid = np.meshgrid(*map(np.arange, n), indexing="ij")
-    first = order * sum(s * i.ravel() for s, i in zip(strides, grid, strict=True))
+    grid = [i.ravel(order="FC"[len(n) - 2]) for i in grid]  # row by row in the plane
+    first = order * sum(s * i for s, i in zip(strides, grid, strict=True))
     kind, variant = basix.CellType[cell], basix.LagrangeVariant.equispaced
     nodes = basix.create_element(basix.ElementFamily.P, kind, order, variant).points
     corners = [strides]
