@@ -219,7 +219,6 @@ class Bar:
 H_BAR, SATURATED, RATE = 900.0, 150.0, 12.0
 HALVES = np.sqrt(2 / 3) * np.array([SATURATED, RATE])
 BARS = {
-    "isotropic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=1.0),
     "mixed": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=0.5),
     "kinematic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR),
     "voce": dm.VonMisesVoce(E, NU, Y, 0.0, 2 / 3 * H_BAR, *HALVES),
