@@ -155,6 +155,12 @@ def test_tiny_strains_keep_their_digits(name):
     assert np.abs(P.reshape(2, 3, 3) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
+def test_where_the_body_is_turned_inside_out_the_energy_is_infinite():
+    found = respond(MIXED, np.array([np.diag([1.0, 1.0, -0.1]), IDENTITY]))
+    assert found.energy[0] == np.inf and np.isfinite(found.energy[1])
+    assert found.undefined.tolist() == [True, False]
+
+
 def sheared(material, end, step):
     """Return Kirchhoff's shear stress in simple shear at multiples of a half, by gamma."""
     state, found = None, {}

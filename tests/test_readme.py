@@ -27,15 +27,6 @@ def test_the_program_runs(capsys):
     assert time == 0.1 and abs(across) < 1e-3 * abs(along) and along < 0 < stress
 
 
-def test_first_block_holds_exactly_two_commands():
-    blocks = re.findall(r"(?ms)^```(\w*)\n(.*?)^```", README)
-    first = next(text for language, text in blocks if not language)
-    assert first.splitlines() == [
-        "containers/run python3 demos/hertz/hertz.py",
-        "containers/run pytest",
-    ]
-
-
 def test_its_links_lead_somewhere():
     targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", README)
     root = Path(__file__).parent.parent
