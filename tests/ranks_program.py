@@ -10,7 +10,6 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from tests.cases import friction as friction_case
-from tests.cases.hertz import paper
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 
@@ -27,21 +26,6 @@ def gather(problem):
     # nodes of the two bodies may lie at one place: the displacement tells them apart
     table = np.concatenate(V.mesh.comm.allgather(np.hstack([X, u])))
     return table[np.lexsort(np.round(table, 9).T[::-1])].tolist()
-
-
-def hertz():
-    """Press the disc on the block."""
-    case = paper()
-    case.press(0.2)
-    report = dm.newton(case.problem, rtol=1e-11)
-    surface = case.contact.gather(case.problem.u)
-    return {
-        "force": case.contact.force.tolist(),
-        "moment": [float(case.contact.moment[2])],
-        "pressure": surface["pressure"].tolist(),
-        "displacement": gather(case.problem),
-        "iterations": report.newton_iterations,
-    }
 
 
 def blocks(partition, kind=dm.Contact):
@@ -88,8 +72,7 @@ FRICTION = ("pressure", "traction", "step_slip", "slip", "status")
 
 if __name__ == "__main__":
     # on one rank all partitions are the same
-    results = {"hertz": hertz()}
-    results |= {name: blocks(name) for name in ("graph", "shared_facet", "stripes", "bodies")}
+    results = {name: blocks(name) for name in ("graph", "shared_facet", "stripes", "bodies")}
     results |= {"tie": blocks("empty", dm.Tie)}
     for cell, names in (("triangle", ("graph", "empty")), ("hexahedron", ("empty",))):
         results |= {f"{cell} {name} friction": friction(cell, name) for name in names}

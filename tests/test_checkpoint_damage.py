@@ -147,6 +147,6 @@ def test_the_space_asked_for(tmp_path, monkeypatch):
     file, names = tmp_path / "x.h5", [f"table {k}" for k in range(30)]
     values = {f"committed/plastic_strain_{k}": np.ones((13, 2)) for k in range(8)}
     given = dict.fromkeys(names, {"places": np.ones((13, 4))} | values)
-    write(MPI.COMM_SELF, file, {"text": "x" * 50_000}, given)
+    write(MPI.COMM_SELF, file, {"text": "x" * 400_000}, given)
     size = os.path.getsize(file)
     assert size <= asked[0] <= size + 8192 * 32

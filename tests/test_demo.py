@@ -62,7 +62,6 @@ def at(t, values, when):
     [
         ("tied_cylinder", ("--cells", "0"), "--cells 0"),
         pytest.param("ironing", ("--friction", "-1"), "--friction -1", marks=pytest.mark.slow),
-        pytest.param("taylor_bar", ("--dt", "0.03"), "--dt", marks=pytest.mark.slow),
     ],
 )
 def test_options_that_make_no_sense(demo, options, named):

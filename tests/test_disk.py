@@ -25,12 +25,11 @@ def test_asking_for_space_leaves_the_file_alone(tmp_path):
     assert file.read_bytes() == b"numbers"
 
 
-@pytest.mark.parametrize("number", [95, 22, 38])
-def test_file_systems_that_cannot_tell(tmp_path, monkeypatch, number):
-    """Nothing is refused there: EOPNOTSUPP, EINVAL, ENOSYS."""
+def test_file_systems_that_cannot_tell(tmp_path, monkeypatch):
+    """Nothing is refused there: EOPNOTSUPP."""
 
     def fail(*_):
-        raise OSError(number, "not here")
+        raise OSError(95, "not here")
 
     monkeypatch.setattr("dolfinx_mortar.common.disk.os.posix_fallocate", fail)
     file = tmp_path / "out.h5"

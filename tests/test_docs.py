@@ -256,7 +256,7 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
     for text in code:
         compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
     assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
-    assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
+    assert "display(Image" in code[-1]
 
 
 def test_the_gallery_leaves_out_nothing():

@@ -4,8 +4,8 @@
 import ast
 import importlib
 import sys
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -170,13 +170,12 @@ def test_no_number_is_left_out():
             assert {f"{module}.{n}" for n in numbers_in(file) if n not in TABLES} <= felt, module
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """What a user would look at."""
 
     numbers: np.ndarray  # forces, moments, stresses
-    texts: tuple[str, ...]  # what is said of problems that cannot be solved
-    counts: tuple[int, ...]  # what the solution cost
+    texts: tuple  # what is said of problems that cannot be solved
+    counts: tuple  # what the solution cost
 
 
 def observe():

@@ -159,6 +159,7 @@ def step(done, time, earlier=True):
         # without load steps times alone tell what comes first
         ([(0, 1), (0, 2), (0, 3)], (0, 2.5), False, [1, 2, 2.5]),
         ([(1, 1), (2, 2)], (3, 2), True, None),
+        ([(1, 1), (2, 2)], (3, 1.5), True, None),
     ],
 )
 def test_what_gives_way(old, new, made, left):

@@ -74,7 +74,6 @@ def test_the_versions_agree(tmp_path, capsys):
     for found in summary["versions"].values():
         assert max(found[what] for what in ("force", "pressure", "stress")) < demo.AGREEMENT
         assert max(found["newton_iterations"]) < 12 and found["assembly_seconds"] > 0.0
-    assert summary["steps"][-1]["max_plastic_strain"] > 1e-3
     assert (tmp_path / "own_law.png").stat().st_size > 5000
     said = capsys.readouterr().out
     assert "numpy: Newton iterations" in said and (demo.INSTALL in said) == (demo.jax is None)

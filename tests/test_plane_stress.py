@@ -16,7 +16,6 @@ from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import create_displacement, create_domain
 from tests.cases.user_laws import Slack
 from tests.choice import quick
-from tests.test_user_laws import Isotropic
 
 E, NU, Y = 206_900.0, 0.29, 367.0
 HARDENING = {
@@ -24,10 +23,9 @@ HARDENING = {
     "kinematic": dm.VonMises(E, NU, Y, 10_000.0),
     "mixed": dm.VonMises(E, NU, Y, 10_000.0, 5_000.0),
 }
-# A law by its energy, by its stress, with a stated tangent, in arrays, and with an apex.
+# A law by its energy, with a stated tangent, in arrays, and with an apex.
 LAWS = HARDENING | {
     "stated": dm.VonMisesVoce(E, NU, Y, 10_000.0, 500.0, 200.0, 20.0),
-    "stress": Isotropic(E, NU, 450.0, 15_000.0),
     "arrays": Radial(E, NU, Y, 10_000.0),
     "cone": dm.DruckerPrager(E, NU, Y, 0.3),
 }

@@ -60,7 +60,6 @@ CASES = [
     (Radial, "quadrilateral", 1, MEAN),
     (Compiled, "triangle", 2, {}),
     (Compiled, "quadrilateral", 1, RING | MEAN),
-    (Compiled, "hexahedron", 1, MEAN),
 ]
 
 

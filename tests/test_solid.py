@@ -50,16 +50,6 @@ def test_element_force_norm(cell):
     assert np.sqrt(total(residual(solid) ** 2)) < 3 * expected
 
 
-def test_default_quadrature():
-    """One point on simplices, 2 x 2 and 2 x 2 x 2 elsewhere; weights sum to the volume."""
-    for cell, points, volume in zip(CELLS, (1, 4, 1, 8), (2.0, 2.0, 3.0, 3.0), strict=True):
-        solid = solid_on(create_domain(cell, 2), STEEL)
-        assert solid.fields.weights.shape[1] == points
-        assert np.isclose(total(solid.fields.weights), volume, rtol=1e-13)
-    richer = solid_on(create_domain("triangle"), STEEL, quadrature_degree=2)
-    assert richer.fields.weights.shape[1] == 3
-
-
 def refuse(*_, **__):
     raise AssertionError("a form or expression was created")
 
