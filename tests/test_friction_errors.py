@@ -46,7 +46,7 @@ JUMPS = ("not one value at every node", "interpolate")
 WRONG = [
     *((lambda V, v=v: v, (repr(v), ">= 0")) for v in (-0.1, np.nan)),
     *((lambda V, v=v: v, (repr(v), "number")) for v in (True, "0.3", 0.3j, [0.3])),
-    *((constant(v), ("scalar",)) for v in ((0.1, 0.2), 0.3j)),
+    *((constant(v), (w,)) for v, w in (((0.1, 0.2), "scalar"), (0.3j, "real numbers"))),
     (lambda V: fem.Function(V), ("shape (2,)", "scalar")),
     (lambda V: fem.Function(V).sub(0), ("collapse()",)),
     *((function(*e), JUMPS) for e in (("DG", 0), ("Bubble", 3))),
