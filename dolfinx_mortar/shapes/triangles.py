@@ -202,29 +202,28 @@ def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
     """Points (n, 3), merged, and triangles (m, 3) of a file; a ValueError if it is damaged."""
+    who = f"surface is {os.fspath(path)!r}"
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        raise ValueError(
-            f"surface is {os.fspath(path)!r}, which cannot be read: {error.strerror}"
-        ) from error
+        raise ValueError(f"{who}, which cannot be read: {error.strerror}") from error
     corners = _binary(content)
     if corners is None:
         corners = _text(content)
         if corners is not None and b"endsolid" not in content.lower():
             raise ValueError(
-                f"surface is {os.fspath(path)!r}, which ends after {len(corners)} triangles "
+                f"{who}, which ends after {len(corners)} triangles "
                 "without 'endsolid': it is cut off; export or copy it anew"
             )
     if corners is None or not len(corners):
         raise ValueError(
-            f"surface is {os.fspath(path)!r}, which is no STL file, {len(content)} bytes long: "
+            f"{who}, which is no STL file, {len(content)} bytes long: "
             "export the surface as STL, binary or text"
         )
     wrong = np.asarray(~np.isfinite(corners).all(axis=(1, 2)))
     if wrong.any():
         raise ValueError(
-            f"surface is {os.fspath(path)!r}, in which {int(wrong.sum())} of {len(corners)} "
+            f"{who}, in which {int(wrong.sum())} of {len(corners)} "
             "triangles have corners that are not finite, first number "
             f"{int(np.argmax(wrong)) + 1}: export it anew"
         )
