@@ -105,7 +105,7 @@ def test_files(tmp_path):
     for write, path in (write_binary, tmp_path / "ball.stl"), (write_text, tmp_path / "ball.txt"):
         write(path, points, triangles)
         shape = shapes.Triangles(path)
-        assert len(shape.triangulation.points) == len(points)
+        assert len(shape.surface[0]) == len(points)
         assert shape.distance(x).value == pytest.approx(exact, abs=1e-6)
         assert repr(shape).startswith("Triangles('") and "320 triangles" in repr(shape)
         read.append(shape.given()["surface"])

@@ -233,7 +233,7 @@ def test_what_the_audit_says_of_a_tool():
     for shape, told in (
         (DOWN, []),
         (UP, ["no facet of the side faces the tool"]),
-        (dm.shapes.Cylinder([0.0, 1.0], 5.0), ["4 deep in the body around"]),
+        (dm.shapes.Cylinder([0.0, 1.0], 5.0), ["4 deep, around"]),
     ):
         case = Block(n=8)
         audit = case.problem([case.tool(shape, friction=0.3)]).audit()

@@ -140,7 +140,7 @@ WRONG_IN_UFL = [
     (lambda x: x, {}, ("of shape (2,)", "scalar")),
     (lambda x: x[0] + ufl.Constant(PLANE_MESH), {}, ("phi contains c_", "position")),
     (lambda x: ufl.as_ufl(1.0), {}, ("no SpatialCoordinate",)),
-    (lambda x: in_ufl(3)[0], {}, ("x of 3 coordinates", "of 2 coordinates")),
+    (lambda x: in_ufl(3)[0], {}, ("x of shape (3,)", "of 2 coordinates")),
     (lambda x: x[0], {"length": 1.0}, ("leave out",)),
 ]
 

@@ -212,8 +212,7 @@ def notes_on_splits(
         open_ = (shares[k] < 1.0 - LEAST_COVERAGE) & (shares[i] > LEAST_COVERAGE)
         if not any_rank(comm, open_.any())[0]:
             continue
-        between = _between(sides[k], sides[i], displacements[k])
-        count = comm.allreduce(int((between > LEAST_COVERAGE).sum()), op=MPI.SUM)
+        count = comm.allreduce(_beside(sides[k], sides[i], displacements[k]), op=MPI.SUM)
         if count:
             notes.append(
                 f"{interfaces[k]}: {count} slave facets face the master of {interfaces[i]}, to "
@@ -223,20 +222,20 @@ def notes_on_splits(
     return notes
 
 
-def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Part (m,) of facets that only the other side's master covers; collective."""
+def _beside(side: Sides, other: Sides, u: fem.Function | None) -> int:
+    """Number of facets at the other slave side that only its master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
     if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
-        return np.zeros(len(facets))
+        return 0
     parts = []
     for master in (side.master, other.master):
         pairing = create_pairing(side.slave, master, u, moving=False, again=True)
         segments, _ = find_segments(pairing, u)
         covered = np.bincount(segments.slave, segments.weight, minlength=len(facets))
         parts.append(covered / segments.facet_weights.sum(axis=1))
-    uncoupled = np.minimum(parts[1], 1.0 - parts[0])
-    return np.asarray(uncoupled * (beside.any(axis=1) & ~beside.all(axis=1)))
+    uncoupled = np.minimum(parts[1], 1.0 - parts[0]) > LEAST_COVERAGE
+    return int((uncoupled & beside.any(axis=1) & ~beside.all(axis=1)).sum())
 
 
 class Transformation:

@@ -11,10 +11,10 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, check, is_number
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
-from dolfinx_mortar.common.spaces import check_nodal
+from dolfinx_mortar.common.spaces import check_nodal, check_real
 
 
 @dataclass(frozen=True)
@@ -220,9 +220,12 @@ class FrictionLaw:
             number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
             values = np.full(n, number)
         bad = ~(np.isfinite(values) & (values >= 0.0))
-        if any_rank(comm, bad.any())[0]:
-            what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
-            raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
+        with raised_together(comm):
+            if bad.any():
+                raise ValueError(
+                    f"{self.name} is {values[bad][0]:g} somewhere: every value has to be finite "
+                    "and >= 0"
+                )
         return values
 
 
@@ -243,11 +246,7 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
         check_nodal(name, value, (), REMEDY)
     elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")
-    if value.ufl_shape != () or not np.issubdtype(_dtype(value), np.floating):
-        raise ValueError(f"{name} has shape {value.ufl_shape} and type {_dtype(value)}: {REMEDY}")
+    check_real(name, value)
+    if value.ufl_shape != ():
+        raise ValueError(f"{name} has shape {value.ufl_shape}: {REMEDY}")
     return FrictionLaw(name, value)
-
-
-def _dtype(value: fem.Function | fem.Constant) -> np.dtype:
-    array = value.x.array if isinstance(value, fem.Function) else value.value
-    return np.asarray(array).dtype

@@ -34,7 +34,6 @@ from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.operators import rule_of, whole_facets
 from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.surface import (
-    Surface,
     accumulate,
     coordinates,
     facets_at,
@@ -79,11 +78,11 @@ class LinkDerivatives:
         by_x = (d * both[:, None] + np.arange(d)).ravel()
         by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
         of = V.mesh.comm, layout_of(V)
-        self.normals: _Normals | _ToolNormals
+        self.normals: _Normals | Triplets
         if tool is not None:
-            self.normals = _ToolNormals(link, tool)
+            self.normals = _between_nodes(V, link.nodes[:, None])
         else:
-            self.averaged = _averaged(slave)
+            self.averaged = _between_nodes(V, slave.nodes[slave.facets])
             x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
             y = BlockEntries(on_slave.T @ on_slave, (d, d), by_n, by_n)
             self.normals = _Normals(link, x, y, self.averaged.zero())
@@ -117,11 +116,15 @@ class LinkDerivatives:
         slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
         known: Bools = np.ones(len(x), dtype=bool)
+        C: PETSc.Mat
         if self._tool is not None:
+            assert isinstance(self.normals, Triplets)
             found = _below_tool(link, self._tool, u, given, keep)
+            C = self.normals.fill(_turning(self._tool, x[: slave.owned])[:, None, :, None])
         else:
-            pairing, operators = link.mortar
-            segments, common = operators.segments, link.coupling.common
+            assert isinstance(self.normals, _Normals)
+            (pairing, operators), common = link.mortar, link.coupling.common
+            segments = operators.segments
             if not self.in_plane:
                 loaded: Bools = np.asarray(given.tractions.any(axis=1))
                 known = on_facets(slave, loaded[slave.facets].any(axis=1))
@@ -131,7 +134,8 @@ class LinkDerivatives:
             at = pairing, u, segments, keep, given, link.pattern.smooth
             found = differentiate(*at, receive(pairing, common.of_master))
             N = self.averaged.fill(normal_derivatives(slave, x))
-        parts = [(found.F_n, found.G_n, self.normals.fill(link, u, found))]
+            C = self.normals.fill(link, u, found)
+        parts = [(found.F_n, found.G_n, C)]
         parts += [(found.F_p, found.G_p, N)] if self.in_plane else []
         F = self.forces.fill(found.F_x, *((F_n, A) for F_n, _, A in parts))
         G = self.gaps.fill(found.G_x, *((G_n, A) for _, G_n, A in parts))
@@ -174,7 +178,9 @@ class _Normals:
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
         d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
-        self._d, self._N, self._of_master = d, N, _averaged(link.sides.master)
+        master = link.sides.master
+        self._d, self._N = d, N
+        self._of_master = _between_nodes(V, master.nodes[master.facets])
         own = V.dofmap.index_map.local_to_global(link.nodes).astype(np.int64)
         self._row = pattern.row[pattern.split :]
         columns, place = np.unique(pattern.column[pattern.split :], return_inverse=True)
@@ -193,9 +199,14 @@ class _Normals:
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
-        assert master is not None and common is not None
-        N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
+        master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
+        assert master is not None and spreads is not None and common is not None
+        x, own, M = coordinates(master, u), np.zeros(master.X.shape), link.mortar[1].M[:, :1]
+        n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
+        own[: master.owned] = common.of_master
+        by_n = (carried(n, accumulate(master, own)) @ by_n)[master.facets]
+        terms = normal_derivatives(master, x)
+        N_m = self._of_master.fill(np.einsum("mkij,mkjla->mkila", by_n, terms, optimize=True))
         at = M[:, :, None, None, None] * np.eye(self._d)[:, None]
         facing = self._facing.fill(
             found.b_x,
@@ -209,21 +220,11 @@ class _Normals:
         return self._sum.fill([], (by_slave, self._N), (by_master, facing))
 
 
-def _in_planes(link: CoupledSides, x: Floats) -> Floats:
-    master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
-    assert master is not None and spreads is not None and common is not None
-    n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
-    own = np.zeros_like(x)
-    own[: master.owned] = common.of_master
-    by_n = carried(n, accumulate(master, own)) @ by_n
-    terms = normal_derivatives(master, x)
-    return np.einsum("mkij,mkjla->mkila", by_n[master.facets], terms, optimize=True)
-
-
-def _averaged(surface: Surface) -> Triplets:
-    V, d = surface.V, surface.X.shape[1]
-    nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
-    at = (d * nodes[:, None] + np.arange(d))[surface.facets]
+def _between_nodes(V: fem.FunctionSpace, nodes: Ints) -> Triplets:
+    """Matrix of blocks between local nodes (m, k) of facets, or of one node each."""
+    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    globally = index_map.local_to_global(nodes.ravel()).astype(np.int64).reshape(nodes.shape)
+    at = d * globally[:, :, None] + np.arange(d)
     block = *at.shape, *at.shape[1:]
     rows = np.broadcast_to(at[:, :, :, None, None], block)
     columns = np.broadcast_to(at[:, None, None], block)
@@ -262,27 +263,12 @@ def tractions_of(
     return Tractions(n, traction, change.reshape(-1, d, d)), mark[:, 0] > 0
 
 
-class _ToolNormals:
-    """Derivatives dn_j/dx_j below a tool, n = -grad phi / |grad phi|."""
-
-    def __init__(self, link: CoupledSides, tool: Tool) -> None:
-        V, n, d = link.sides.V, len(link.nodes), link.sides.V.dofmap.index_map_bs
-        nodes = V.dofmap.index_map.local_to_global(link.nodes).astype(np.int64)
-        dofs, alone = (d * nodes[:, None] + np.arange(d)).ravel(), scipy.sparse.eye_array(n)
-        entries = BlockEntries(scipy.sparse.csr_array(alone), (d, d), dofs, dofs)
-        self._sum, self._tool = SumWithProducts(V.mesh.comm, layout_of(V), entries), tool
-
-    def zero(self) -> PETSc.Mat:
-        return self._sum.zero()
-
-    def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        x = coordinates(link.sides.slave, u)[: link.sides.slave.owned]
-        at = self._tool.distance(x)
-        size, g = unit_vectors(at.gradient)
-        across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
-        turned = -across @ at.hessian / np.maximum(size, TINY)[:, None, None]
-        alone = np.arange(len(x))[:, None]
-        return self._sum.fill([Blocks(alone, alone, turned[:, None, :, None])])
+def _turning(tool: Tool, x: Floats) -> Floats:
+    """Derivatives dn_j/dx_j (n, d, d) below a tool, n = -grad phi / |grad phi|; collective."""
+    at = tool.distance(x)
+    size, g = unit_vectors(at.gradient)
+    across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
+    return np.asarray(-across @ at.hessian / np.maximum(size, TINY)[:, None, None])
 
 
 def _below_tool(

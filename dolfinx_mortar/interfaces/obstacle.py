@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
@@ -157,22 +157,18 @@ class Obstacle(Movable, Unilateral):
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
         faceted: Bools | None = None
-        second = slave.element.degree > 1
-        smooth = self.meant is not False
+        second, smooth = slave.element.degree > 1, self.meant is not False
         if smooth if second else not self.meant:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         if not second and own is not None:
             # only facets of flat sides see a tip between the nodes
-            limit = HALF_OF_DIGITS * mean_facet_length(slave)
-            bent = (np.abs(own.sagitta) > limit).any(axis=1)
-            on = on_facets(slave, bent)[: slave.owned]
+            bent = np.abs(own.sagitta) > HALF_OF_DIGITS * mean_facet_length(slave)
+            on = on_facets(slave, bent.any(axis=1))[: slave.owned]
             is_round = any_rank(sides.V.mesh.comm, on.any())[0]
             faceted = on if is_round and not smooth else None
-            smooth = smooth and is_round
-            own = own if smooth else None
-        at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
+            own, smooth = None, smooth and is_round
         nodal = smooth and not second
-        return None, SidePattern(*at, side=side, own=own, nodal=nodal, faceted=faceted)
+        return None, SidePattern(**vars(plain), side=side, own=own, nodal=nodal, faceted=faceted)
 
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
@@ -247,23 +243,22 @@ class Obstacle(Movable, Unilateral):
                 f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
                 "of the tool, towards the body: turn it round if it does not"
             ]
-        depth = np.where(kept, -self.tool.distance(at, self.tool.began).value, -np.inf)
+        depth = -self.tool.distance(at, self.tool.began).value[kept]
         deepest = depth.max(initial=-np.inf)
-        mine = at[int(np.argmax(depth))].tolist() if len(at) else []
+        mine = at[kept][int(np.argmax(depth))].tolist() if len(depth) else []
         most, place = max(comm.allgather((float(deepest), mine)))
         if most <= mean_facet_length(sides.slave):
             return []
-        shallowest = -float(maximum(comm, (-depth[kept]).max(initial=-np.inf))[0])
-        where = f"({', '.join(f'{c:.4g}' for c in place)})"
-        if shallowest > 0.0:
+        where = f"{most:.3g} deep, around ({', '.join(f'{c:.4g}' for c in place)})"
+        if not any_rank(comm, (depth <= 0.0).any())[0]:
             raise ValueError(
-                f"{self!r}: at its start the tool contains the whole side, up to {most:.3g} deep, "
-                f"around {where}; the normal of a tool has to point out of the tool, towards the "
-                "body: reverse it, or let the tool start beside the body"
+                f"{self!r}: at its start the tool contains the whole side, up to {where}; the "
+                "normal of a tool has to point out of the tool, towards the body: reverse it, or "
+                "let the tool start beside the body"
             )
         return [
-            f"{self!r}: at its start the tool lies {most:.3g} deep in the body around {where}, "
-            "more than a facet, which the first step has to remove: let it start beside the body"
+            f"{self!r}: at its start the tool lies in the body, up to {where}, more than a facet, "
+            "which the first step has to remove: let it start beside the body"
         ]
 
     @property

@@ -54,6 +54,10 @@ class Bolt:
         """See `RigidBody`: n at each node (1, n, d)."""
         return np.tile(self.axis, (1, len(X), 1))
 
+    def curve(self, X: Floats, amounts: Floats) -> Floats:
+        """Zero: n is fixed."""
+        return np.zeros_like(X)
+
     def move(self, amounts: Floats) -> None:
         """Add s (1,)."""
         self.tighten(amounts[0] * self.axis)
@@ -102,15 +106,14 @@ def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
 
 def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
     """Warning if n runs along the cut, or ""."""
-    length = float(np.linalg.norm(normal))
-    if length <= AROUND or float(axis @ normal) >= ALONG * length:
+    length, along = float(np.linalg.norm(normal)), float(axis @ normal)
+    if length <= AROUND or along >= ALONG * length:
         return ""
-    shown = np.round(np.array([axis @ normal, *normal]) / length, 3) + 0.0
-    outward = ", ".join(f"{x:g}" for x in shown[1:])
     return (
-        f"direction is {axis.tolist()}, whose cosine with the normal [{outward}] out of the slave "
-        f"side of {who} is {shown[0]:g}: the sides slip along each other rather than overlap, and "
-        "the force is shear. For tension give the axis of the bolt, out of the slave side"
+        f"direction is {axis.tolist()}, whose cosine with the mean normal out of the slave side of "
+        f"{who} is {round(along / length, 3) + 0.0:g}: the sides slip along each other rather than "
+        "overlap, and the force is shear. For tension give the axis of the bolt, out of the slave "
+        "side"
     )
 
 

@@ -16,7 +16,7 @@ from dolfinx_mortar.common.arguments import array, check
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Force
-from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_coupling
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.interfaces.tool import Movable, RigidBody, spun
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
@@ -115,16 +115,14 @@ class RigidSide(Movable, Interface):
             areas = areas * sides.weight(slave.X[slave.facets].mean(axis=1))
         areas = np.repeat(areas[:, None, None], slave.facets.shape[1], axis=1)
         areas = sum_at_nodes(slave, areas)[: slave.owned]
-        fixed = sides.fixed[sides.nodes]
-        return Coupling(
-            blocks=np.zeros((0, d, d)),
-            P=np.zeros((0, 1)),
-            R=np.broadcast_to(np.eye(d), (n, d, d)),
-            slot=np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32),
-            directions=~fixed,
-            kept=np.ones((n, 1), dtype=bool),
-            weight=np.maximum(areas, TINY),
-            normals=nodal_normals(slave, x)[: slave.owned],
+        return create_coupling(
+            pattern,
+            np.zeros((0, d)),
+            nodal_normals(slave, x)[: slave.owned],
+            sides.fixed[sides.nodes],
+            np.ones((n, d), dtype=bool),
+            tangential=True,
+            weight=np.tile(np.maximum(areas, TINY), d),
             heights=np.zeros(n),
             coverage=full_coverage(sides),
         )

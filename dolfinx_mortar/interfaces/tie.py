@@ -220,13 +220,10 @@ def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
         return np.zeros((len(nodes), d))
     if isinstance(jump, fem.Function):
         return np.array(jump.x.array.reshape(-1, d)[nodes])
-    if isinstance(jump, fem.Constant):
-        return np.tile(jump.value, (len(nodes), 1))
-    if isinstance(jump, np.ndarray):
-        return np.tile(jump, (len(nodes), 1))
+    if isinstance(jump, fem.Constant | np.ndarray):
+        return np.tile(getattr(jump, "value", jump), (len(nodes), 1))
     if not len(nodes):  # no points
         return np.zeros((0, d))
-    x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
-    n = len(nodes)
+    x, n = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T), len(nodes)
     wanted = f"return {d, n} real numbers, a vector for each of {n} points x (3, n)"
     return check("jump(x)", jump(x), array((d, n), finite=False, remedy=wanted)).T

@@ -124,16 +124,12 @@ class RigidBody:
     def check_load(self, load: Any) -> Mapping[str, Force]:
         """Checked forces by name, in the order of `motions_in`."""
         known = motions_in(len(self.point))
-        if load is None:
-            return {}
         if not isinstance(load, Mapping) or not load.keys() <= set(known):
             raise ValueError(
                 f"load is {load!r}: give a dictionary of forces on the tool by name, of "
                 f"{', '.join(map(repr, known))}"
             )
-        for name, value in load.items():
-            check(f"load[{name!r}]", value, FORCE)
-        return {name: load[name] for name in known if name in load}
+        return {k: check(f"load[{k!r}]", load[k], FORCE) for k in known if k in load}
 
     def loads(self) -> Floats:
         """Present values (m,).
@@ -236,7 +232,7 @@ class Movable:
 
     @load.setter
     def load(self, value: Mapping[str, Force] | None) -> None:
-        self.rigid.load = self.rigid.check_load(value)
+        self.rigid.load = self.rigid.check_load({} if value is None else value)
 
     @property
     def travel(self) -> Floats:
@@ -319,8 +315,6 @@ class Tool(RigidBody):
         began, now, turn, shape = self.began, self.pose(), self.turn(), self.shape
 
         def at(t: float, x: Floats) -> Floats:
-            if t in (0.0, 1.0):
-                return (now if t else began).to_tool(x)
             position = (1.0 - t) * began.position + t * now.position
             return Pose(position, after(began.rotation, t * turn), began.point).to_tool(x)
 
