@@ -160,12 +160,9 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _on_edge(x, p, q, bend, reach):  # type: ignore[no-untyped-def]
-    """Nearest t in [0, 1] to x, and distance squared, inf for chords beyond the reach."""
+def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
+    """Nearest t in [0, 1] to x, and distance squared; Newton's method from the chord."""
     t = min(max(_dot(x - p, q - p) / _dot(q - p, q - p), 0.0), 1.0)
-    r = x - p - t * (q - p)
-    if _dot(r, r) > reach**2:
-        return t, np.inf
     for _ in range(LIMIT):
         foot, slope, second = _compiled_edge(p, q, bend, t)
         square = _dot(slope, slope)
@@ -214,14 +211,32 @@ def _box_distance(x, box):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _on_one(x, p, bends, reach):  # type: ignore[no-untyped-def]
+def _from_flat(x, p):  # type: ignore[no-untyped-def]
+    a, b, r = p[1] - p[0], p[2] - p[0], x - p[0]
+    aa, ab, bb, ra, rb = _dot(a, a), _dot(a, b), _dot(b, b), _dot(r, a), _dot(r, b)
+    det = aa * bb - ab * ab
+    s, t = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
+    if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
+        off = r - s * a - t * b
+        return np.sqrt(_dot(off, off))
+    least = np.inf
+    for k in range(3):
+        side, r = p[(k + 1) % 3] - p[k], x - p[k]
+        along = min(max((_dot(r, side)) / (_dot(side, side)), 0.0), 1.0)
+        off = r - along * side
+        least = min(least, _dot(off, off))
+    return np.sqrt(least)
+
+
+@numba.njit(cache=True)
+def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
     where, s, t, least = FACE, 0.0, 0.0, np.inf
     if len(p) == 3:
         s, t, least = _in_face(x, p, bends[:, 0])
         if least < np.inf:
             return least, where, s, t
     for k in range(len(bends)):
-        along, far = _on_edge(x, p[k], p[(k + 1) % len(p)], bends[k], reach)
+        along, far = _on_edge(x, p[k], p[(k + 1) % len(p)], bends[k])
         if far < least:
             least, where, s, t = far, EDGE + k, along, 0.0
             if along in (0.0, 1.0):
@@ -252,8 +267,9 @@ def find_nearest(points, corners, bends, boxes, leaves, bulges):  # type: ignore
                 size += 2
                 continue
             j = leaves[box - k]
-            reach = np.sqrt(best) + bulges[j]
-            least, place, s, t = _on_one(x, corners[j], bends[j], reach)
+            if len(corners[j]) == 3 and _from_flat(x, corners[j]) - bulges[j] > np.sqrt(best):
+                continue
+            least, place, s, t = _on_one(x, corners[j], bends[j])
             if least < best:
                 best, nearest[i], where[i] = least, j, place
                 at[i, 0], at[i, 1] = s, t
