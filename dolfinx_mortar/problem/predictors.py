@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, largest, maximum
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats
 from dolfinx_mortar.common.spaces import with_values
 from dolfinx_mortar.interfaces.link import nodal_gaps
@@ -168,12 +168,14 @@ def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
 def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
     """Return w(X - C) - w(X), (owned nodes, d), on the bodies of a group, else 0; collective.
 
-    Between nodes w is interpolated by radial functions, beyond the body extrapolated; every rank
-    gathers the nodes of the body.
+    Between nodes w is interpolated by radial functions, beyond the body extrapolated; ranks send
+    the nodes that are near the points X - C of another rank.
     """
     V, n, d = u.function_space, len(bodies.label), u.function_space.dofmap.index_map_bs
-    comm, moved = V.mesh.comm, np.zeros((n, d))
+    comm, dim, moved = V.mesh.comm, V.mesh.topology.dim, np.zeros((n, d))
     X, values = V.tabulate_dof_coordinates()[:n, :d], u.x.array.reshape(-1, d)[:n]
+    cells = np.arange(V.mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    cell = largest(comm, V.mesh.h(dim, cells))
     for body in np.flatnonzero(bodies.groups == dent.group):
         on = bodies.label == body
         x, w = X[on], values[on]
@@ -183,8 +185,15 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
         A = fit[:d].T
         w = w - x @ A.T
         way = np.linalg.solve(np.eye(d) + A, dent.way)
-        known = [np.concatenate(comm.allgather(part)) for part in (x, w)]
+        margin = np.linalg.norm(way) + 2.0 * cell
+        box = x.min(axis=0, initial=np.inf) - way, x.max(axis=0, initial=-np.inf) - way
+        near = [
+            ((x > low - margin) & (x < high + margin)).all(axis=1)
+            for low, high in comm.allgather(box)
+        ]
+        there = comm.alltoall([(x[to], w[to]) for to in near])
         if len(x):
+            known = (np.concatenate(part) for part in zip(*there, strict=True))
             at = scipy.interpolate.RBFInterpolator(*known, neighbors=3**d, kernel="linear")
             moved[on] = at(x - way) - w
     return moved
