@@ -12,9 +12,9 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.common.arrays import ROUND_OFF
 from dolfinx_mortar.interfaces.link import nodal_gaps
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.contacts import Contacts, Scales, measure
 from dolfinx_mortar.problem.linearisation import find_balance, linearise
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from tests.cases.close_fits import create_shrink_fit
 from tests.cases.hertz import ELASTIC, paper

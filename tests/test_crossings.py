@@ -12,8 +12,7 @@ from scipy.optimize import lsq_linear
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry import flat
-from dolfinx_mortar.geometry.elements import QUAD4
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import QUAD4, Facets
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from tests.cases.block_piles import ABOVE, BELOW, Blocks
 from tests.cases.meshes import box_cells, box_points, create_distributed, skins

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from dolfinx_mortar.geometry.elements import QUAD9, TRI6
+from dolfinx_mortar.geometry.facets import QUAD9, TRI6
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, create_duals
 from dolfinx_mortar.mortar.integrals import sums_of_values
 from tests.cases.polylines import assemble

@@ -8,8 +8,14 @@ import basix
 import dolfinx
 from dolfinx_mortar.common.spaces import CELLS, HIGHEST
 from dolfinx_mortar.geometry import plane as parts_module
-from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
+    FACETS_OF,
+    LINE2,
+    LINE3,
+    QUAD4,
+    QUAD9,
+    TRI3,
+    TRI6,
     Facets,
     area_vectors,
     normals_at_nodes,

@@ -64,7 +64,6 @@ OTHERS = {
     "audit.audit",  # in test_smooth_contact
     "report.notes",
     "report.penetration",
-    "interfaces.pretension",
     "report.certificate",
     # in test_exact_tangent and test_load_steps
     "interfaces.moving_geometry",

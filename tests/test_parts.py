@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 
 from dolfinx_mortar.geometry import area, segments
-from dolfinx_mortar.geometry.elements import QUAD9, TRI6
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, tributary_weights
+from dolfinx_mortar.geometry.facets import (
+    QUAD9,
+    TRI6,
+    Facets,
+    facet_normals,
+    points_of,
+    tributary_weights,
+)
 from dolfinx_mortar.geometry.plane import parts_of
 
 

@@ -9,7 +9,7 @@ from dolfinx import fem
 from dolfinx_mortar import qp
 from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.interfaces import pretension as module
-from dolfinx_mortar.problem import step_data
+from dolfinx_mortar.problem import checks
 from dolfinx_mortar.steps.driven_tools import find_drives
 from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, Blocks
 from tests.cases.bolted_joint import Joint
@@ -335,7 +335,7 @@ def warned(case, problem, direction):
 @pytest.mark.mpi
 def test_an_overlap_larger_than_the_model(monkeypatch):
     joint = Joint(gap=0.01)
-    monkeypatch.setattr(step_data, "diagonal", lambda V: 0.011)
+    monkeypatch.setattr(checks, "diagonal", lambda V: 0.011)
     with rejected("an overlap of", "check units", "as before", error=dm.NewtonNotConverged):
         tighten(joint.problem, {joint.bolt: 6.0}, joint.direction)
     assert not joint.u.x.array.any() and not joint.bolt.tightening.any()

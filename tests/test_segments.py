@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry import line, segments
-from dolfinx_mortar.geometry.elements import LINE2, LINE3
-from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes
+from dolfinx_mortar.geometry.facets import LINE2, LINE3, Facets, normals_at_nodes
 from dolfinx_mortar.geometry.segments import create_cones
 from tests.cases.polylines import assemble, chain, nodal_normals
 

@@ -18,8 +18,7 @@ from dolfinx_mortar.geometry.curvature import (
     heights,
     own_curvatures,
 )
-from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6, Facets
 from dolfinx_mortar.mortar.curvature_correction import _count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_normals
 from tests.cases.close_fits import rings

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx
-from dolfinx_mortar.geometry.elements import QUAD4
-from dolfinx_mortar.geometry.facets import Facets, distortions
+from dolfinx_mortar.geometry.facets import QUAD4, Facets, distortions
 from dolfinx_mortar.mortar.surface import (
     _check_shapes,
     coordinates,

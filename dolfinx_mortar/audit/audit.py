@@ -19,8 +19,8 @@ from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.duals import find_coverage, node_weights
 from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, boxes_of, find_facing

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.common.arrays import SAME, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, triangle_rule
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
     are_apart,

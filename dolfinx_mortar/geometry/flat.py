@@ -4,8 +4,9 @@
 import numpy as np
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
+    LINE2,
+    TRI3,
     Facets,
     are_inside,
     bounding_balls,
@@ -156,7 +157,7 @@ def flat_parts(facets: Facets) -> Floats:
     """Lines (m, 2, 2) or triangles (m or 2m, 3, 3) between the vertices of facets.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import QUAD4
+        >>> from dolfinx_mortar.geometry.facets import QUAD4
         >>> x = np.array([[[0.0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5]]])
         >>> flat_parts(Facets(QUAD4, x)).shape
         (2, 3, 3)
@@ -203,7 +204,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
     opposite direction, or inf.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import LINE2
+        >>> from dolfinx_mortar.geometry.facets import LINE2
         >>> x = np.array([[[0.0, 0], [2, 0]], [[3, 1], [-1, 1]], [[2, 5], [0, 5]]])
         >>> strip = Facets(LINE2, x)
         >>> thickness(strip, strip)

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import leggauss
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import FacetElement, Facets
 from dolfinx_mortar.geometry.moments import Sides, Sums, create_points
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
@@ -242,7 +241,7 @@ def _end_rates(
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
     """Coefficients (m, 3, 2) of 1, xi, xi^2 for nodal values v (m, k, 2).
 
-    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> from dolfinx_mortar.geometry.facets import LINE3
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """

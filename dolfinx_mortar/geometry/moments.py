@@ -17,8 +17,13 @@ from numpy.polynomial.legendre import leggauss
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps
-from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
+from dolfinx_mortar.geometry.facets import (
+    FacetElement,
+    Facets,
+    dual_basis,
+    surface_gradients,
+    triangle_rule,
+)
 from dolfinx_mortar.geometry.plane import count, project, reference_parts
 from dolfinx_mortar.geometry.tolerances import KERNEL
 

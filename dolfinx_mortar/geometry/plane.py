@@ -11,8 +11,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, unit
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, bounding_balls, facet_normals, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -33,7 +32,7 @@ def parts_of(facets: Facets) -> Facets:
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
     """Pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
 
-    >>> from dolfinx_mortar.geometry.elements import TRI3
+    >>> from dolfinx_mortar.geometry.facets import TRI3
     >>> pairs, of = pairs_of_parts(np.array([[0, 3], [0, 5]], dtype=np.int32), TRI3, TRI3)
     >>> pairs.tolist(), of.tolist()
     ([[0, 3], [0, 5]], [0, 1])
@@ -54,7 +53,7 @@ def coefficients(facets: Facets) -> Floats:
     """Coefficients c (m, 3, 9) of facets: of x_i at 3 a + b.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import TRI3
+        >>> from dolfinx_mortar.geometry.facets import TRI3
         >>> x = np.array([[[5.0, 0, 0], [7, 0, 0], [5, 1, 0]]])
         >>> coefficients(Facets(TRI3, x))[0, 0].tolist()
         [5.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]

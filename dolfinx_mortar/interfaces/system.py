@@ -40,8 +40,8 @@ from dolfinx_mortar.interfaces.interface import (
 )
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
-from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.mortar.common_normals import find_spreads
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, outside_margin

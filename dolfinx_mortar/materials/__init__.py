@@ -3,8 +3,7 @@
 
 from typing import Any
 
-from dolfinx_mortar.materials.elastic import Elastic, Orthotropic
-from dolfinx_mortar.materials.hyperelastic import MooneyRivlin, NeoHooke, Ogden
+from dolfinx_mortar.materials.elastic import Elastic, MooneyRivlin, NeoHooke, Ogden, Orthotropic
 from dolfinx_mortar.materials.plasticity import DruckerPrager, VonMises, VonMisesVoce
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
 

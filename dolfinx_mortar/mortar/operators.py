@@ -16,8 +16,13 @@ from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
-from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
+from dolfinx_mortar.geometry.facets import (
+    FacetElement,
+    points_of,
+    scaled_normals,
+    triangle_rule,
+    tributary_weights,
+)
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (

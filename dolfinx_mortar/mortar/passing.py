@@ -31,8 +31,7 @@ from dolfinx_mortar.common.arrays import (
     Ints,
     Longs,
 )
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.facets import LINE2, TRI3, Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import find_passing, flat_parts
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_of_bodies

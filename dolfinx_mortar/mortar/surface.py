@@ -20,8 +20,9 @@ from dolfinx_mortar.common import compat
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.common.spaces import check_space, connected_parts
 from dolfinx_mortar.common.tags import check_entities, label, labels, tag_of
-from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
+    FACETS_OF,
+    FacetElement,
     Facets,
     bounding_balls,
     distortions,

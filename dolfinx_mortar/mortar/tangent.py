@@ -20,8 +20,7 @@ from dolfinx_mortar.common.arrays import CHUNK, HALF_OF_DIGITS, TINY, Bools, Flo
 from dolfinx_mortar.geometry import line
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.curvature import height_table, node_pairs
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes, surface_gradients
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, normals_at_nodes, surface_gradients
 from dolfinx_mortar.geometry.moments import Sides, Sums, moments_in_space, whole
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF

@@ -21,8 +21,8 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import BoundQP, Friction, QPSolution
 from dolfinx_mortar.qp.preconditioner import interface_unknowns
 from dolfinx_mortar.solid.kinematics import on_axis

@@ -21,8 +21,8 @@ from dolfinx_mortar.common.spaces import with_values
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.supports import Bodies
 

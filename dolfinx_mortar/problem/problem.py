@@ -36,9 +36,8 @@ from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
 from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
-from dolfinx_mortar.problem.checks import check_arguments
+from dolfinx_mortar.problem.checks import StepData, check_arguments, check_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
-from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.supports import (

@@ -14,8 +14,9 @@ from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.common.step_report import Note
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
+    LINE2,
+    TRI3,
     Facets,
     are_inside,
     area_vectors,

@@ -31,7 +31,7 @@ from dolfinx_mortar.common.arrays import (
 )
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.pretension import Bolt
+from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.problem.contacts import Contacts, Residuals
 from dolfinx_mortar.problem.linearisation import (
     Balance,

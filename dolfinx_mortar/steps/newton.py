@@ -24,7 +24,7 @@ from dolfinx_mortar.common.step_report import Iteration, NewtonNotConverged, Not
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.persistence.committed import Before, Gained, StepOutcome
-from dolfinx_mortar.problem.checks import check_controls, check_problem
+from dolfinx_mortar.problem.checks import check_controls, check_problem, check_tightening
 from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
@@ -45,7 +45,6 @@ from dolfinx_mortar.problem.linearisation import (
 )
 from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import check_tightening
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from dolfinx_mortar.report.notes import find_notes

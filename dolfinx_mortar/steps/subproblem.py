@@ -15,6 +15,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
@@ -33,7 +34,6 @@ from dolfinx_mortar.problem.linearisation import (
     to_reduced,
 )
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.steps import driven_tools

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.geometry.elements import LINE2
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.facets import LINE2, Facets, facet_normals
 from tests.cases import surfaces
 from tests.cases.surfaces import Side
 

@@ -9,8 +9,7 @@ import numpy.typing as npt
 from scipy.spatial import Delaunay
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import LINE2, QUAD4, TRI3, Facets
 from dolfinx_mortar.mortar import duals
 
 Floats = npt.NDArray[np.float64]
