@@ -205,7 +205,7 @@ def test_every_equation_has_a_function_and_a_test():
     sections = re.split(r"(?m)^### ", text)[1:]
     numbers = set()
     for section in sections:
-        tests = re.findall(r"```\{test\} (test_\w+\.py)::(\w+)", section)
+        tests = re.findall(r"```\{test\} ((?:contracts/)?test_\w+\.py)::(\w+)", section)
         assert tests and "{source}`" in section, section.splitlines()[0]
         for file, name in tests:
             assert f"def {name}(" in (ROOT / "tests" / file).read_text()

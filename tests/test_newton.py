@@ -211,7 +211,7 @@ def test_the_slope_is_that_of_the_merit():
     path = line_search.create_path(problem, Solution(lin, solved), du, multiplier)
 
     def merit(t):
-        line_search.move(problem, path.start + t * path.du)
+        problem.move(path.start + t * path.du)
         return problem.terms.energy().value + path.excess(t)
 
     first = line_search.find_slope(problem, lin, path)

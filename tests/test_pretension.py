@@ -8,7 +8,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar import qp
 from dolfinx_mortar.common.arrays import EPS
-from dolfinx_mortar.interfaces import pretension as module
+from dolfinx_mortar.interfaces import tie as module
 from dolfinx_mortar.problem import checks
 from dolfinx_mortar.steps.driven_tools import find_drives
 from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, Blocks
