@@ -22,6 +22,7 @@ from dolfinx_mortar.geometry.facets import (
     area_vectors,
     facet_normals,
     facet_sizes,
+    points_of,
 )
 from dolfinx_mortar.geometry.flat import (
     bounds,
@@ -36,6 +37,7 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
 from dolfinx_mortar.mortar.operators import whole_facets
+from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
 from dolfinx_mortar.problem.contacts import DIGIT
@@ -49,9 +51,10 @@ nodes penetrates as far as it is pressed.
 """
 MEAN = (
     "Gaps are means over facets of the slave, of those at X with geometry='reference': let the "
-    "finer or sharper side be the slave, or refine there. With displacements of degree 2 a node on "
-    "an axis has no multiplier: refine until others touch, or take degree 1. A tool that is "
-    "sharper than the facets may be rounded"
+    "finer or sharper side be the slave, or refine there; where Dirichlet data prescribe all nodes "
+    "of slave facets nothing holds the master: let the other side be the slave. With displacements "
+    "of degree 2 a node on an axis has no multiplier: refine until others touch, or take degree 1. "
+    "A tool that is sharper than the facets may be rounded"
 )
 ITSELF = (
     "Its contact with itself has no pairs there: take smaller steps, finer facets, or a tag for "
@@ -88,12 +91,30 @@ def notes_on_overlaps(
         some, limit = found.get(k), SUNK
         if tool := link.interface.tool:
             some = _in_tool(link, tool, problem.u)
+        elif link.pairing and (bare := _on_prescribed_facets(link, problem.u)):
+            some = bare if some is None or bare.share > some.share else some
         elif closed is not None and not any_rank(problem.comm, closed[link.nodes].any())[0]:
             # without closed nodes only the step's tolerance, times ten for points between nodes
             limit = rtol / DIGIT
         if some is not None and some.share > limit:
             notes.append(_note(f"{link.interface}: the sides", some, MEAN))
     return notes
+
+
+def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
+    """Deepest point of slave facets without multipliers, by Dirichlet data; collective."""
+    comm, bare = link.sides.V.mesh.comm, link.prescribed_facets()
+    if not any_rank(comm, bare.any())[0]:
+        return None
+    pairing, segments = link.mortar[0], link.mortar[1].segments
+    own, master = pairing.slave, received_facets(pairing, u)
+    slave, some = facets_at(own, coordinates(own, u)), bare[segments.slave]
+    s, m = segments.slave[some], segments.master[some]
+    x, y = points_of(slave, s, segments.xi_s[some]), points_of(master, m, segments.xi_m[some])
+    depth = ((y - x) * facet_normals(master)[m]).sum(axis=1)
+    depth -= _deviations(own, u, link.interface.feature_angle)[own.facets].max(axis=1)[s]
+    depth[(depth <= 0.0) | (depth >= pairing.deepest[segments.pair[some]])] = 0.0
+    return _overlap(comm, depth, np.minimum(facet_sizes(slave.x)[s], facet_sizes(master.x)[m]), x)
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
