@@ -257,17 +257,6 @@ class Parts:
             yield names.get(int(tag), f"tag {tag}"), colour, parts
 
 
-def near_surfaces(tools: Sequence[Any], low: Floats, high: Floats) -> Iterator[tuple[Any, Any]]:
-    """Yield points and lines or triangles (m, d) of tools near a box from low (d,) to high (d,)."""
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, len(low))
-    for tool in tools:
-        pose = tool.pose()
-        within = pose.to_tool(corners)
-        points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
-        if len(cells):
-            yield pose.to_space(points), cells
-
-
 def gather_bodies(
     V: fem.FunctionSpace, x: Floats, values: np.ndarray, at_nodes: bool
 ) -> Parts | None:
