@@ -38,11 +38,7 @@ class Other(dm.VonMises):
     energy = staticmethod(dm.VonMises.energy)
 
 
-# Von Mises without the closed root, and with Poisson's ratio near its end.
-LAWS |= {
-    "other": Other(E, NU, Y, 10_000.0, 5_000.0),
-    "auxetic": dm.VonMises(E, -0.95, Y, 1.0, 1.0),
-}
+LAWS |= {"other": Other(E, NU, Y, 10_000.0, 5_000.0)}
 _POINTS = {}
 
 
