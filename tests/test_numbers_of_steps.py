@@ -247,7 +247,7 @@ def usual():
 
 
 ALL = [(module, name) for module, names in NUMBERS.items() for name in names]
-ALL += [("arrays", "ROUND_OFF"), ("arrays", "QUARTER_OF_DIGITS")]
+ALL += [("common.arrays", "ROUND_OFF"), ("common.arrays", "QUARTER_OF_DIGITS")]
 
 
 @pytest.mark.slow
@@ -277,7 +277,7 @@ PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
     "SQUEEZED": test_finite_strain.test_cells_that_invert,
     "ARMIJO": test_newton.test_a_step_too_long_is_halved,
-    "arrays.ROUND_OFF": closed_round_off,
+    "common.arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,
 }
 
@@ -287,7 +287,7 @@ def probe(module, name):
     PROBES.get(f"{module}.{name}", PROBES.get(name, lambda: None))()
 
 
-ABSURD = {"ARMIJO": 1e12, "arrays.ROUND_OFF": 1e-12}  # 0 for the others
+ABSURD = {"ARMIJO": 1e12, "common.arrays.ROUND_OFF": 1e-12}  # 0 for the others
 
 
 @pytest.mark.slow

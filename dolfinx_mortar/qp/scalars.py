@@ -215,8 +215,6 @@ class Bordered:
         z = right.copy()
         self.inner.A.mult(y, z)
         z.aypx(-1.0, right)
-        y.array[:] = self._X[a]  # initial guess, of another state
-        y.array[held] = self.scalars.motions[a][held]
         atol = HALF_OF_DIGITS * max(z.norm(), np.sqrt(TINY))
         z = self.linear.solve(right, y, held, atol=atol, sliding=law)
         return y.array_r.copy(), z.array_r.copy()
