@@ -48,12 +48,12 @@ class FacetElement:
         """The vertices among the nodes."""
         return tuple(range(self.first.nodes))
 
-    @property
+    @cached_property
     def centre(self) -> Floats:
         """The centre (1, d-1) of the reference facet."""
         return self.first.points.mean(axis=0, keepdims=True)
 
-    @property
+    @cached_property
     def normal_points(self) -> Floats:
         """Points (k, d-1) at which nodes take normals: of degree 1 the centre, the mean."""
         return self.points if self.degree > 1 else np.repeat(self.centre, self.nodes, axis=0)
@@ -80,7 +80,7 @@ class FacetElement:
         [[[0.0, 1.0, -1.0]]]
         """
         e, k = xi.shape[-1], self.nodes
-        found = (self.slopes @ powers(xi.reshape(-1, e))).T
+        found = (self.slopes @ powers(xi.reshape(-1, e), 2)).T
         found = found.reshape(*xi.shape[:-1], len(self.slopes))
         N, first, second = np.split(found, [k, k + k * e], axis=-1)
         return N, first.reshape(*xi.shape, k), second.reshape(*xi.shape, e, k)
@@ -101,11 +101,12 @@ class FacetElement:
 
     @cached_property
     def slopes(self) -> Floats:
-        """Coefficients (n, 9) of N and its first and second derivatives."""
+        """Coefficients (n, 9), (n, 3) in the plane, of N and its first and second derivatives."""
         one, by = np.eye(3), np.diag([1.0, 2.0], -1)  # of the powers of one coordinate
         both = [np.kron(by, one), np.kron(one, by)][: self.points.shape[1]]
         first = [self.table @ D for D in both]
-        return np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
+        found = np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
+        return found[:, :: 3 if len(both) == 1 else 1]
 
 
 def powers(xi: Floats, degree: int | None = None) -> Floats:
