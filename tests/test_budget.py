@@ -20,8 +20,8 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 140,
-    "tokens of code": 278_866,
-    "words of prose": 52_283,
+    "tokens of code": 278_887,
+    "words of prose": 52_288,
     "words of strings": 12_763,
 }
 TOKENS_OF_TESTS = 301_500
