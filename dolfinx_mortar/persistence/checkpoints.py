@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 r"""Checkpoints: the committed state of a problem, as values at places in one HDF5 file.
 
-    dolfinx_mortar checkpoint, format 10, version 0.1
+    dolfinx_mortar checkpoint, format 10, version 0.2
     sha256 of what follows: 64 hexadecimal digits
     zeros to byte 512, and from there on HDF5
 
