@@ -204,8 +204,9 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
         )
 
     def count(entities: list[tuple[int, int]]) -> int:
-        """Number of elements."""
-        return sum(len(tags) for at in entities for tags in model.mesh.getElements(*at)[1])
+        """Number of elements, those of several groups once."""
+        tags = [some for at in entities for some in model.mesh.getElements(*at)[1]]
+        return len(np.unique(np.concatenate([[], *tags])))
 
     inside = [(dim, entity) for g in bodies for entity in g.entities]
     for d in range(3, dim - 1, -1):
