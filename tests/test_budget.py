@@ -20,7 +20,7 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 140,
-    "tokens of code": 278_887,
+    "tokens of code": 278_896,
     "words of prose": 52_288,
     "words of strings": 12_763,
 }
