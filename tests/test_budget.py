@@ -20,11 +20,11 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 140,
-    "tokens of code": 278_896,
+    "tokens of code": 278_909,
     "words of prose": 52_288,
     "words of strings": 12_763,
 }
-TOKENS_OF_TESTS = 301_500
+TOKENS_OF_TESTS = 301_630
 PUBLIC_NAMES = 43
 WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_452}
 SIMPLEST_STEP = {"files": 68, "functions": 658, "lines": 6_841}

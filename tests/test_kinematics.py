@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.solid.kinematics import plane_strain, spatial
-from dolfinx_mortar.solid.supports import rigid_motions
+from dolfinx_mortar.solid.supports import create_dirichlet, rigid_motions
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins
 from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.rings import Lame
@@ -231,3 +231,16 @@ def test_contact_on_the_axis_is_refused():
     bcs = [*rollers(case.V, [0]), *rollers(case.V, [1], (-1.0, 1.0))]
     with rejected("slave=4: 3 facets lie on the axis r = 0"):
         case.problem([contact], bcs, dm.Solid(case.u, LAW, **RING)).audit()
+
+
+def test_conditions_that_differ_by_round_off_agree():
+    """Values interpolated in two ways differ by hundreds of units in the last place."""
+    V = create_displacement(section(1.0, 3.0, (4, 2))).function_space
+    dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 1.0))
+    for off, agree in ((200 * np.finfo(float).eps, True), (1e-10, False)):
+        bcs = [fem.dirichletbc(np.array([value, 0.0]), dofs, V) for value in (1.0, 1.0 + off)]
+        if agree:
+            create_dirichlet(V, bcs)
+        else:
+            with rejected("bcs"):
+                create_dirichlet(V, bcs)

@@ -32,13 +32,13 @@ BELOW = {
     "interfaces": {"common", "algebra", "geometry", "mortar", "shapes"},
     "audit": {"common", "algebra", "geometry", "mortar", "interfaces", "solid"},
     "persistence": {"common", "algebra", "interfaces", "materials", "solid"},
-    "plotting": {"common", "algebra", "geometry", "interfaces", "mortar", "solid"},
+    "plotting": {"common", "algebra", "interfaces", "mortar", "solid"},
     "problem": {
         *("common", "algebra", "mortar", "interfaces", "solid", "terms", "qp"),
         *("audit", "persistence"),
     },
     "report": {
-        *("common", "algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp"),
+        *("common", "algebra", "geometry", "mortar", "interfaces", "materials", "solid"),
         *("audit", "persistence", "problem"),
     },
     "steps": {

@@ -25,6 +25,7 @@ from dolfinx_mortar.common.arrays import (
     Ints,
 )
 from dolfinx_mortar.common.spaces import connected_parts, with_ghosts
+from dolfinx_mortar.geometry import tolerances
 from dolfinx_mortar.solid.kinematics import on_axis, translations_and_rotations
 from dolfinx_mortar.solid.solid import Solid
 
@@ -347,7 +348,8 @@ class Dirichlet:
             values[:n] = shared.array_r
         shared.destroy()
         high, low, X = largest[0, :n], -largest[1, :n], V.tabulate_dof_coordinates()
-        allowed = ROUND_OFF * maximum(comm, *(np.abs(v).max(initial=0.0) for v in (X, given))).sum()
+        sizes = maximum(comm, *(np.abs(v).max(initial=0.0) for v in (X, given)))
+        allowed = tolerances.ROUND_OFF * sizes.sum()
         told = ""
         with np.errstate(invalid="ignore"):
             differ = np.flatnonzero(known & (high - low > allowed))
@@ -399,7 +401,7 @@ def check_targets(solid: Solid, target: Floats) -> None:
     radial = target.reshape(-1, V.dofmap.index_map_bs)[:, i]
     axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates()[: len(radial)])
     largest = float(maximum(V.mesh.comm, np.abs(target).max(initial=0.0))[0])
-    leaving = axis & (np.abs(radial) > ROUND_OFF * largest)  # round-off of interpolation
+    leaving = axis & (np.abs(radial) > tolerances.ROUND_OFF * largest)  # round-off of interpolation
     moved = V.mesh.comm.allreduce(int(np.sum(leaving)), op=MPI.SUM)
     if moved:
         raise ValueError(
