@@ -14,7 +14,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.common.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import (
+    EPS,
+    LIMIT,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    UNDERFLOW,
+    Ints,
+)
 from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,
@@ -393,7 +400,7 @@ class LinearSolver:
             if round_off > QUARTER_OF_DIGITS * force:  # with reactions of fixed unknowns, too
                 self._operator.residual(b, x, np.empty(0, dtype=np.int32))
                 force = max(force, self._operator.z.norm())
-            if round_off <= QUARTER_OF_DIGITS * force or force == 0.0:
+            if round_off <= max(QUARTER_OF_DIGITS * force, UNDERFLOW):
                 return
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:

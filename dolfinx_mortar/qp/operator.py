@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf, decouple
-from dolfinx_mortar.common.arrays import ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, UNDERFLOW, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
 # Part of |b| / sqrt(n): 1e-4 to 0.1 found all negative eigenvalues.
@@ -92,7 +92,7 @@ class Operator:
         """Round-off of A x."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
-        return float(ROUND_OFF * scaled.norm())
+        return max(ROUND_OFF * scaled.norm(), UNDERFLOW)
 
     def clear(self) -> None:
         """Free the matrices."""

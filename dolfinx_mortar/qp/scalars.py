@@ -215,8 +215,7 @@ class Bordered:
         z = right.copy()
         self.inner.A.mult(y, z)
         z.aypx(-1.0, right)
-        atol = HALF_OF_DIGITS * max(z.norm(), np.sqrt(TINY))
-        z = self.linear.solve(right, y, held, atol=atol, sliding=law)
+        z = self.linear.solve(right, y, held, atol=HALF_OF_DIGITS * z.norm(), sliding=law)
         return y.array_r.copy(), z.array_r.copy()
 
     def _step(self, q: Floats, missing: Floats) -> Floats:
