@@ -26,7 +26,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.common.arrays import Ints
 from dolfinx_mortar.qp import Change, LinearSolver
-from dolfinx_mortar.solid.bodies import rigid_motions
+from dolfinx_mortar.solid.supports import rigid_motions
 
 COMM = MPI.COMM_WORLD
 E, NU = 206_900.0, 0.29

@@ -41,9 +41,9 @@ from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.time_steps import time_steps
+from dolfinx_mortar.steps.walk import load_steps
 from dolfinx_mortar.terms.inertia import Damping, Inertia
 from dolfinx_mortar.terms.loads import PointForce, PointSpring, Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm

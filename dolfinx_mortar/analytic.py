@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Closed solutions of contact mechanics, in any consistent units.
 
-Line contact is plane strain, with forces per unit thickness. Lengths, moduli and yield stresses are
-positive; pressure and depth are positive into the body.
+Line contact is plane strain, with forces per unit thickness; pressure and depth are positive into
+the body. A ValueError names an argument out of range.
 
-Sources: K. L. Johnson, Contact Mechanics, Cambridge University Press 1985. Partial slip: C.
-Cattaneo, Rend. Accad. Naz. Lincei 27 (1938) 342-348, 434-436, 474-478; R. D. Mindlin, H.
-Deresiewicz, J. Appl. Mech. 20 (1953) 327-344.
+Sources: K. L. Johnson, Contact Mechanics, 1985; C. Cattaneo, Rend. Accad. Naz. Lincei 27 (1938)
+342-348, 434-436, 474-478; R. D. Mindlin, H. Deresiewicz, J. Appl. Mech. 20 (1953) 327-344.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -41,7 +39,6 @@ __all__ = [
 
 Radius = float | tuple[float, float]
 Force = float | tuple[float, ...]
-Legs = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 # Share of p0^2 below which a node is at the edge; half and twice as much change the fit by < 0.5 %.
 EDGE = 0.1
 
@@ -52,9 +49,9 @@ class LineContact:
 
     force: float  # per unit thickness
     radius: float  # effective
-    E_star: float  # effective
+    E_star: float  # effective modulus
     half_width: float  # a
-    peak_pressure: float  # p0 = 2 F/(pi a)
+    peak_pressure: float  # p0
 
     def pressure(self, x: npt.ArrayLike) -> Floats:
         """Return p0 sqrt(1 - x^2/a^2), zero outside the contact, at distances x from the middle."""
@@ -84,7 +81,7 @@ class FirstYield:
     peak_pressure: float
     half_width: float
     force: float  # per unit thickness
-    depth: float  # of the point that yields first, 0 at the surface
+    depth: float  # of the point that yields first
     ratio: float  # largest von Mises stress over peak pressure
 
 
@@ -93,9 +90,7 @@ def _ellipse(x: npt.ArrayLike, a: float) -> Floats:
 
 
 def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
-    """Return E* with 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2; a body of infinite E is rigid.
-
-    A ValueError for two rigid bodies or a number out of range.
+    """Return E* with 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2; one E may be infinite (rigid).
 
     >>> round(effective_modulus(206_900.0, 0.29, 206_900.0, 0.29), 1)
     112949.0
@@ -110,27 +105,24 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     return float(1.0 / compliance)
 
 
-def _curvature(radii: Floats) -> float:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.sum(1.0 / radii))
-
-
 def effective_radius(radius: Radius) -> float:
-    """Return R with 1/R = 1/R1 + 1/R2; one number stands for a round body on a flat one.
+    """Return R with 1/R = 1/R1 + 1/R2; one number is a round body on a flat one.
 
-    A negative radius is concave, an infinite one flat. A ValueError for 1/R <= 0.
+    A negative radius is concave, an infinite one flat; 1/R > 0.
 
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
     """
-    rule = array(
-        *((), (1,), (2,)),
-        remedy="give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is "
-        "positive and smaller than the other, if that is hollow (negative)",
-        finite=False,
-        holds=lambda radii: 0.0 < _curvature(radii) < np.inf,
+    remedy = (
+        "give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is "
+        "positive and smaller than the other, if that is hollow (negative)"
     )
-    return 1.0 / _curvature(check("radius", radius, rule))
+    radii = check("radius", radius, array((), (1,), (2,), remedy=remedy, finite=False))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = float(np.sum(1.0 / radii))
+    if not 0.0 < curvature < np.inf:
+        raise ValueError(f"radius is {radius!r}: {remedy}")
+    return 1.0 / curvature
 
 
 def hertz_line(
@@ -140,8 +132,7 @@ def hertz_line(
 
         a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
 
-    F per unit thickness is positive in compression, the radius as in `effective_radius`. A
-    ValueError names an argument out of range.
+    F > 0 in compression; radius as in `effective_radius`, moduli as in `effective_modulus`.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
@@ -160,7 +151,7 @@ def hertz_point(
 
         a = (3 F R/(4 E*))^(1/3),    p0 = 3 F/(2 pi a^2),    delta = a^2/R
 
-    Arguments and errors as for `hertz_line`; F is the whole force.
+    Arguments as for `hertz_line`.
 
     >>> c = hertz_point(117808.787, (6.1237, 6.1237), 1e8, 0.29, 1e6, 0.29)
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
@@ -179,8 +170,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
 
         sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
 
-    Depths over a have any shape (...); stresses (..., 3) are along the surface, normal to it and
-    out of plane. A ValueError for depths < 0.
+    Depths >= 0 over a have any shape (...); stresses (..., 3) are along the surface, normal to it
+    and out of plane.
 
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
@@ -199,8 +190,7 @@ def first_yield_line(
     """Find the load at which the first body of a line contact starts to yield (von Mises).
 
     The von Mises stress is largest on the axis, at a depth of 0.5 to 0.8 a, or for nu < 0.194 on
-    the surface, (1 - 2 nu) p0. The yield stress is uniaxial; other arguments and errors as for
-    `hertz_line`.
+    the surface, (1 - 2 nu) p0. The yield stress is uniaxial; other arguments as for `hertz_line`.
 
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
@@ -222,55 +212,49 @@ def first_yield_line(
     return FirstYield(p0, a, 0.5 * np.pi * a * p0, depth * a, ratio)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _History:
-    """A contact of one material after tangential forces Q, see below."""
+    """A contact of one material after tangential forces Q, in legs."""
 
     contact: Any
     friction: float  # mu
-    forces: tuple[float, ...]  # where the force turned, and the present one
-    weights: tuple[float, ...]  # of the legs, with the sign of the change of the force
-    k: tuple[float, ...]  # of the legs
-
-    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
-        """Size of the contact, D, and of each leg size of stick, displacement/D, work/(mu P D)."""
-        raise NotImplementedError
+    forces: Floats  # where the force turned, and the present one
+    weights: Floats  # of the legs, with the sign of the change of the force
+    size: float  # a
+    sticks: Floats  # sizes c of stick of the legs
+    moves: Floats  # displacements over weights
+    works: Floats  # dissipated, over |weights| mu P
 
     @property
     def force(self) -> float:
         """The present tangential force Q."""
-        return self.forces[-1]
+        return float(self.forces[-1])
 
     @property
     def displacement(self) -> float:
         """Relative displacement of the bodies due to partial slip, positive along Q."""
-        _, largest, _, legs, _ = self._solution()
-        return float(largest * np.dot(self.weights, legs))
+        return float(self.weights @ self.moves)
 
     @property
     def dissipation(self) -> float:
         """Energy dissipated so far, >= 0; a closed loop takes four times the first loading."""
-        _, largest, _, _, legs = self._solution()
-        return float(
-            self.friction * self.contact.force * largest * np.dot(np.abs(self.weights), legs)
-        )
+        return float(self.friction * self.contact.force * (np.abs(self.weights) @ self.works))
 
     def traction(self, x: npt.ArrayLike) -> Floats:
         """Shear traction at distances x from the middle, zero outside the contact.
 
         Exerted by the body that pushes with Q on the other one: its integral is Q.
         """
-        at = check("x", x, FINITE)
-        a, _, sticks, _, _ = self._solution()
+        at, a = check("x", x, FINITE), self.size
         total = np.zeros_like(at)
-        for w, c in zip(self.weights, sticks, strict=True):
+        for w, c in zip(self.weights, self.sticks, strict=True):
             # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, also for c = 0
             outer, inner = (np.sqrt(np.maximum(0.0, b**2 - at**2)) / a for b in (a, c))
             total += w * (outer - inner)
         return np.asarray(self.friction * self.contact.peak_pressure * total)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartialSlip(_History):
     """A line contact of one material after a history of tangential forces, per unit thickness.
 
@@ -285,22 +269,15 @@ class PartialSlip(_History):
     their compliance C without slip.
     """
 
-    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
-        at, k = self.contact, np.array(self.k)
-        largest = self.friction * at.force / (np.pi * at.E_star)
-        rest = xlogy(k, k)
-        energies = (1.0 - k**2) / 2.0 + rest
-        return at.half_width, largest, at.half_width * np.sqrt(k), 1.0 - k + rest, energies
-
     @property
     def stick_half_widths(self) -> tuple[float, ...]:
         """Half-widths of stick c = a sqrt(k) of all legs."""
-        return tuple(map(float, self._solution()[2]))
+        return tuple(map(float, self.sticks))
 
     @property
     def stick_half_width(self) -> float:
         """Half-width of stick of the present leg."""
-        return self.stick_half_widths[-1]
+        return float(self.sticks[-1])
 
 
 def cattaneo_line(contact: LineContact, friction: float, force: Force) -> PartialSlip:
@@ -313,9 +290,6 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
             the present one. No change may exceed the one before it (the second: twice the first),
             which would close a loop.
 
-    Raises:
-        ValueError: naming an argument out of range.
-
     >>> contact = hertz_line(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
     >>> s = cattaneo_line(contact, 0.2, 15.0)
     >>> round(s.stick_half_width / contact.half_width, 12)
@@ -324,11 +298,13 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
     >>> round(loop.dissipation / s.dissipation, 12)
     5.0
     """
-    check_all(POSITIVE, friction=friction)
-    return PartialSlip(contact, float(friction), *_legs_of(force, friction * contact.force))
+    limit, forces, weights, k = _legs_of(contact, friction, force)
+    a, D, rest = contact.half_width, limit / (np.pi * contact.E_star), xlogy(k, k)
+    legs = a * np.sqrt(k), D * (1.0 - k + rest), D * ((1.0 - k**2) / 2.0 + rest)
+    return PartialSlip(contact, float(friction), forces, weights, a, *legs)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartialSlipPoint(_History):
     """A point contact after a history of tangential forces, see `PartialSlip`.
 
@@ -340,26 +316,15 @@ class PartialSlipPoint(_History):
 
     nu: float  # Poisson's ratio of both
 
-    def _solution(self) -> tuple[float, float, Floats, Floats, Floats]:
-        at, k, root = self.contact, np.array(self.k), np.cbrt(self.k)
-        stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
-        largest = 3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness
-        energies = (1.0 + 5.0 * k - (5.0 + k) * root**2) / 5.0
-        return at.contact_radius, largest, at.contact_radius * root, 1.0 - root**2, energies
-
     @property
     def stick_radii(self) -> tuple[float, ...]:
         """Radii of stick c = a k^(1/3) of all legs."""
-        return tuple(map(float, self._solution()[2]))
+        return tuple(map(float, self.sticks))
 
     @property
     def stick_radius(self) -> float:
         """Radius of stick of the present leg."""
-        return self.stick_radii[-1]
-
-    def traction(self, r: npt.ArrayLike) -> Floats:
-        """Shear traction at distances r from the middle, as `PartialSlip.traction`."""
-        return super().traction(r)
+        return float(self.sticks[-1])
 
 
 def mindlin_point(
@@ -374,20 +339,23 @@ def mindlin_point(
     >>> round(s.stick_radius / contact.contact_radius, 12)
     0.5
     """
-    check_all(POSITIVE, friction=friction)
     check_all(POISSON, nu=nu)
-    legs = _legs_of(force, friction * contact.force)
-    return PartialSlipPoint(contact, float(friction), *legs, float(nu))
+    limit, forces, weights, k = _legs_of(contact, friction, force)
+    a, root = contact.contact_radius, np.cbrt(k)
+    D = 3.0 * limit * (2.0 - nu) / (8.0 * a * contact.E_star * (1.0 - nu))
+    legs = a * root, D * (1.0 - root**2), D * (1.0 + 5.0 * k - (5.0 + k) * root**2) / 5.0
+    return PartialSlipPoint(contact, float(friction), forces, weights, a, *legs, float(nu))
 
 
-def _legs_of(force: Force, limit: float) -> Legs:
-    """Forces of a history, weights of its legs (1, then 2, signed), and k of each.
+def _legs_of(contact: Any, friction: float, force: Force) -> tuple[float, Floats, Floats, Floats]:
+    """Limit mu P, forces of a history, weights of its legs (1, then 2, signed), and k of each.
 
     1 - k in [0, 1] is the change of the force over weight times mu P.
     """
+    check_all(POSITIVE, friction=friction)
     remedy = "give a finite number, or several in a sequence"
     path = np.atleast_1d(check("force", force, array((), (None,), remedy=remedy, holds=np.size)))
-    changes = np.diff(path, prepend=0.0)
+    limit, changes = friction * contact.force, np.diff(path, prepend=0.0)
     sizes = np.where(np.arange(len(path)) > 0, 2.0, 1.0)
     weights, shares = np.sign(changes) * sizes, np.abs(changes) / limit / sizes
     # closed loops, up to round-off
@@ -397,11 +365,9 @@ def _legs_of(force: Force, limit: float) -> Legs:
             f"force is {force!r}: {path[beyond][0]:g} exceeds friction * P = {limit:g}, at which "
             "the whole contact slides, or closes a loop: leave out the forces inside closed loops."
         )
-    if any(later * before > 0.0 for before, later in pairwise(weights)):
+    if (weights[1:] * weights[:-1] > 0.0).any():
         raise ValueError(f"force is {force!r}: let it turn at every value except the last one")
-    found = path, weights, 1.0 - np.minimum(shares, 1.0)
-    forces, signed, k = (tuple(map(float, each)) for each in found)
-    return forces, signed, k
+    return limit, path, weights, 1.0 - np.minimum(shares, 1.0)
 
 
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
@@ -414,14 +380,11 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
 
     Args:
         x: distances (n,) of the active nodes from the middle of the contact.
-        p: pressures (n,) at these nodes, positive in compression.
+        p: pressures (n,) at these nodes.
 
     Returns:
         Peak pressure p0 and half-width a; (nan, nan) for fewer than two distances, or a pressure
         that does not fall with the distance.
-
-    Raises:
-        ValueError: for arrays of different shapes, or non-finite numbers.
 
     >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
     >>> round(peak, 12), round(width, 12)

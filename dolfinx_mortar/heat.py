@@ -18,7 +18,7 @@ from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import check, instance, number
-from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.common.spaces import check_space
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
@@ -197,7 +197,7 @@ class Heat:
                 of friction depends on it. None for the steady state, without friction.
 
         Returns:
-            Largest change of T against its last value.
+            Largest change of T against its last value, over the range of T now and before.
 
         Raises:
             ValueError: if nothing holds T in a body, conductances are negative or not finite, and
@@ -222,18 +222,15 @@ class Heat:
             self._add_sides(one.interface, one.share, values, A, b)
             if one.h is None:
                 ties.append(self._tie(one.interface, *map(self._global, (closed, held))))
-        return self._solve(A, b, ties)
+        change = self._solve(A, b, ties)
+        every = np.concatenate([self.T.x.array, self.before.x.array])
+        high, low = maximum(self.comm, every.max(initial=-np.inf), (-every).max(initial=-np.inf))
+        return change / max(float(high + low), TINY)
 
     def commit(self) -> None:
         """Make the temperature that of the start of the next step."""
         self.before.x.array[:] = self.T.x.array
         self.turn = None
-
-    def span(self) -> float:
-        """Range of the temperatures, now and at the start of the step; collective."""
-        every = np.concatenate([self.T.x.array, self.before.x.array])
-        high, low = maximum(self.comm, every.max(initial=-np.inf), (-every).max(initial=-np.inf))
-        return float(high + low)
 
     @contextmanager
     def undone(self) -> Iterator[None]:

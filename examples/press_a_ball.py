@@ -2,7 +2,7 @@
 
 # # Press a rigid ball into a block
 #
-# The tool is a shape, not a mesh: a ball of radius $R$, pressed into a round block whose section is
+# The tool is a shape, not a mesh: a ball of radius $R$, pressed into a cylinder whose section is
 # meshed (`x[0]` is the radius). With the force $F$, Hertz' contact radius and peak pressure are
 #
 # $$a = \sqrt[3]{\frac{3 F R}{4 E^*}}, \qquad p_0 = \frac{3 F}{2 \pi a^2}, \qquad

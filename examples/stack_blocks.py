@@ -3,7 +3,7 @@
 # # Find the contacts of a stack
 #
 # Three blocks with meshes of their own lie on each other under their weight. `find_pairs` finds
-# which sides face each other, tags them and proposes the contacts. Each carries what lies above it.
+# which sides face each other, tags them and proposes contacts. Each carries the weight above it.
 
 from mpi4py import MPI
 

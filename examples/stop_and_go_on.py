@@ -2,9 +2,9 @@
 
 # # Stop and go on
 #
-# A disc is pressed into a block that yields. The walk stops after two of four steps and writes a
-# checkpoint; a new problem, as another program would make it, goes on from there, also on another
-# number of ranks. Its forces are those of a walk without a stop.
+# A disc is pressed into a block that yields. The run stops after two of four load steps and writes
+# a checkpoint; a new problem, as another program would make it, continues from there, also on
+# another number of ranks. Its forces are those of a run without a stop.
 
 from mpi4py import MPI
 

@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.geometry import area, plane
+from dolfinx_mortar.geometry import area
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_motions
 from dolfinx_mortar.mortar.duals import default_keep, node_weights, weighted_duals
 from dolfinx_mortar.mortar.integrals import find_segments
@@ -40,14 +40,6 @@ ABSURD = {
     "EPS": 10.0, "HALF_OF_DIGITS": 1.0, "ROUND_OFF": 0.1, "TINY": 1.0,
     "SAME": 1.0, "area._HIGHEST": 2,
 }  # fmt: skip
-calls = {"halve": 0}
-halve = plane.halve
-
-
-def count_halves(*polygon):
-    """Halve a polygon that has more vertices than there is space for."""
-    calls["halve"] += 1
-    return halve(*polygon)
 
 
 def numbers():
@@ -146,13 +138,6 @@ def main():
             replace(name, scaled(value, factor))
             table[name].append(change(cases, expected))
         replace(name, value)
-    plane.halve = count_halves
-    for factor in (1, 0.5):
-        replace("VERTICES", scaled(plane.VERTICES, factor))
-        calls["halve"] = 0
-        operators(cases)
-        table.setdefault("halves", []).append(calls["halve"])
-    replace("VERTICES", 2 * plane.VERTICES)
     usual, table["absurd"] = numbers(), {}
     for name, value in ABSURD.items():
         replace(name, value)

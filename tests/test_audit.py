@@ -8,10 +8,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
-from dolfinx_mortar.meshing.two_bodies import distribute
+from dolfinx.mesh import meshtags
 from tests.cases.block_piles import ABOVE, PILE, WEST, Blocks
-from tests.cases.close_fits import create_ring
+from tests.cases.close_fits import create_ring, nested
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -69,7 +68,6 @@ def test_supports_that_hold_nothing():
         ((*HELD, (14, 0)), dm.Contact, 0, 5),  # normal free: nothing is lost
         ((*HELD, (14, 1)), dm.Contact, 1, 4),  # normal taken
         ((*HELD, (14, None), (12, None)), dm.Contact, 2, 3),
-        ((*HELD, (14, 0)), dm.Tie, 0, 5),  # tied in y
         ((*HELD, (14, None)), dm.Tie, 1, 4),
     ],
 )
@@ -214,7 +212,7 @@ def test_range_of_gaps(gap):
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("facets", "oblique", "bent"),
-    [(3, 5.0, True), (2, 5.0, True), (2, -5.0, True), (3, 0.0, False), (12, 5.0, False)],
+    [(3, 5.0, True), (2, -5.0, True), (3, 0.0, False), (12, 5.0, False)],
 )
 def test_a_support_that_may_be_a_mirror(facets, oblique, bent):
     """An arc of 57 degrees that ends 5 degrees off the right angle, like one that is no circle."""
@@ -248,16 +246,10 @@ def test_a_pin_that_may_spin(rng):
         create_ring(0.4, 0.98, uneven_angles(rng, 31)),
         create_ring(1.0, 2.0, uneven_angles(rng, 24)),
     )
-    domain, _ = distribute(COMM, lambda: rings, "quadrilateral")
-    domain.topology.create_connectivity(1, 2)
-    facets = exterior_facet_indices(domain.topology)
-    x = compute_midpoints(domain, 1, facets)
-    radius = np.linalg.norm(x, axis=1)
-    marks = np.select([radius > 1.5, radius > 0.985, radius > 0.7], [1, 3, 4], 2).astype(np.int32)
-    tags = meshtags(domain, 1, facets, marks)
+    domain, tags = nested(COMM, rings)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    for slave, master in ((3, 4), (4, 3)):
+    for slave, master in ((2, 3), (3, 2)):
         contact = dm.Contact(tags, slave=slave, master=master)
         with pytest.raises(ValueError, match=r"nothing holds.*rotation about z") as caught:
-            create_problem(V, [contact], [held(V, tags, 1)]).audit()
+            create_problem(V, [contact], [held(V, tags, 4)]).audit()
         assert "translation" not in str(caught.value)

@@ -31,7 +31,7 @@ E, NU = 1000.0, 0.3
 TUBE = (1.0, 1.5, 2.5)
 
 
-def fitted_tubes(n, slave, overlap, cell):
+def fitted_tubes(n, slave, overlap, cell="triangle"):
     """Return problem and contact of two tubes in plane strain, n cells across the inner one."""
     domain, _, tags = tubes(TUBE, ((n + 1, n), (n + 3, 2 * n)), overlap=overlap, cell=cell)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))

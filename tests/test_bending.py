@@ -53,15 +53,13 @@ def exact_bending(c):
     return r1, THICKNESS / 2 * WEIGHTS @ difference(r1) / (2 * c)
 
 
-def bent(volumetric="reduced", end=0.5, steps=5):
+def bent():
     """Bend half of a block; return moments over exact ones, error of u, iterations of each step."""
     u = create_displacement(rectangle([(0.0, 0.0, 0.0), (THICKNESS, HALF, WIDTH)], (4, 8, 1)))
     V, exact = u.function_space, fem.Function(u.function_space)
     end_moves = hold(V, plane(1, HALF), value=exact)
     bcs = [end_moves, hold(V, plane(1), 1), *rollers(V, [2], (0.0, WIDTH))]
-    # by multigrid, where nothing locks
-    options = None if volumetric == "reduced" else {"pc_type": "cholesky"}
-    finite = {"strain": "finite", "volumetric": volumetric, "petsc_options": options}
+    finite = {"strain": "finite", "volumetric": "reduced"}
     problem = create_problem(u, (), bcs, dm.NeoHooke(E, NU), **finite)
 
     def displacement(x, r1, c):
@@ -69,7 +67,7 @@ def bent(volumetric="reduced", end=0.5, steps=5):
         return np.stack([r * np.cos(angle) - r1 - x[0], r * np.sin(angle) - x[1], 0.0 * x[2]])
 
     ratios, iterations = [], []
-    for c in end * np.arange(1, steps + 1) / steps:
+    for c in 0.1 * np.arange(1, 6):
         r1, expected = exact_bending(c)
         exact.interpolate(lambda x, r1=r1, c=c: displacement(x, r1, c))
         iterations.append(dm.newton(problem).newton_iterations)
@@ -92,8 +90,3 @@ def test_rubber_does_not_lock():
     """Four cells across the thickness, K/mu = 5000: 1.6 to 2.6 %; by multigrid."""
     ratios, error, iterations = bent()
     assert np.abs(ratios - 1).max() < 0.0265 and error < 2.5e-3 and max(iterations) <= 6
-
-
-def test_without_mean_volumes_it_locks():
-    """The reference tells: thirty times the moment."""
-    assert np.abs(bent("full", end=0.1, steps=2)[0]).min() > 30.0

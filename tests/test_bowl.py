@@ -95,8 +95,7 @@ class Disc:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("friction", "steps"), [(0.6, 600), (None, 400)])
-@pytest.mark.parametrize("periods", [1, pytest.param(2, marks=pytest.mark.nightly)])
-def test_a_disc_keeps_its_period_and_energy(periods, friction, steps):
+def test_a_disc_keeps_its_period_and_energy(friction, steps):
     """To .5 %; where it rolls, friction takes 1.8 % in each period by creep.
 
     Measured after two: period +.16 and +.28 %, energy +.40 and +.10 %; with 400 steps the one that
@@ -106,7 +105,7 @@ def test_a_disc_keeps_its_period_and_energy(periods, friction, steps):
     angle, length = disc.centre()
     period = 4.0 * np.sqrt(disc.k * length / G) * ellipk(np.sin(angle / 2) ** 2)
     swing = disc.mass * G * length * (1.0 - np.cos(angle))
-    times = period / steps * np.arange(1, periods * steps + 1)
+    times = period / steps * np.arange(1, steps + 1)
     passes, before = [], (0.0, angle)
     for step in dm.time_steps(disc.problem, times, progress=False, rtol=1e-8):
         ledger = step.report.ledger
@@ -118,7 +117,7 @@ def test_a_disc_keeps_its_period_and_energy(periods, friction, steps):
         if now[1] * before[1] < 0.0:
             passes.append(before[0] - before[1] * (now[0] - before[0]) / (now[1] - before[1]))
         before = now
-    assert len(passes) == 2 * periods
-    assert (passes[-1] - passes[0]) / (periods - 0.5) == pytest.approx(period, rel=0.005)
-    assert ledger.friction / swing < (0.02 * periods if friction else 1e-12)
-    assert disc.centre()[0] == pytest.approx(angle, rel=0.015 * periods if friction else 0.005)
+    assert len(passes) == 2
+    assert 2.0 * (passes[1] - passes[0]) == pytest.approx(period, rel=0.005)
+    assert ledger.friction / swing < (0.02 if friction else 1e-12)
+    assert disc.centre()[0] == pytest.approx(angle, rel=0.015 if friction else 0.005)

@@ -19,15 +19,15 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 156,
-    "tokens of code": 291_554,
-    "words of prose": 53_716,
-    "words of strings": 13_070,
+    "files": 140,
+    "tokens of code": 278_909,
+    "words of prose": 52_288,
+    "words of strings": 12_763,
 }
-TOKENS_OF_TESTS = 348_252
+TOKENS_OF_TESTS = 301_630
 PUBLIC_NAMES = 43
-WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_460}
-SIMPLEST_STEP = {"files": 75, "functions": 668, "lines": 6_966}
+WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_452}
+SIMPLEST_STEP = {"files": 68, "functions": 658, "lines": 6_841}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),

@@ -4,19 +4,20 @@
 import dataclasses
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
 
 import basix.ufl
+import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx_mortar.mortar import assembly
 from tests.cases import meshes, meshes_3d
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.mortar import largest, space
 from tests.cases.pressed_blocks import rejected
 from tests.choice import crosswise
 
@@ -35,10 +36,6 @@ def blocks(cell, comm=COMM, x_upper=(0.0, 1.0), width=1.0, **options):
         return meshes.two_blocks(comm, (3, 2), (5, 2), cell=cell, **sizes, **options)
     sizes = {"lower": (0.0, width, 0.0, width), "upper": (*ends, 0.0, width)}
     return meshes_3d.two_boxes(comm, (2, 2, 1), (3, 3, 1), cell=cell, **sizes, **options)
-
-
-def vectors(mesh, degree):
-    return fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
 
 
 def scalars(mesh, degree):
@@ -64,10 +61,6 @@ def on_both(s, at_nodes):
         yield np.einsum("nk,nk->n", N, at_nodes[dofs]), np.einsum("nki,nk->ni", G, at_nodes[dofs])
 
 
-def largest(array):
-    return np.abs(array).max(initial=0.0)
-
-
 def moved(V, motion):
     """Return the displacement by which X gets to motion(X)."""
     d = V.mesh.geometry.dim
@@ -84,19 +77,20 @@ def bent(x):
 # -- points
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("motion", "sides"), [(False, SIDES), (True, SWAPPED)], ids=["lower", "upper, moved"]
+    ("motion", "sides", "partition"), [(False, SIDES, "empty"), (True, SWAPPED, "bodies")]
 )
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", CELLS)
-def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides):
+def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides, partition):
     """Values, gradients, area, normal and gap, also after a rotation with a stretch."""
-    mesh, _, tags = blocks(cell, x_upper=(0.3, 1.2), gap=0.1, partition="stripes")
+    mesh, _, tags = blocks(cell, x_upper=(0.3, 1.2), gap=0.1, partition=partition)
     d = mesh.geometry.dim
     F, V = np.eye(d), scalars(mesh, degree)
     if motion:
-        F = 1.5 * (meshes_3d.rotation((1, 2, 3), 0.7) if d == 3 else turn(0.7))
-    u = moved(vectors(mesh, degree), lambda x: F @ x) if motion else None
+        F = 1.5 * (meshes_3d.rotation((1, 2, 3) if d == 3 else (0, 0, 1), 0.7)[:d, :d])
+    u = moved(space(mesh, degree), lambda x: F @ x) if motion else None
     s = dm.segments(V, tags, **sides, u=u)
     stretch = np.linalg.norm(F, 2)
     assert abs(COMM.allreduce(s.weight.sum()) - 0.7 * stretch ** (d - 1)) < EXACT
@@ -113,25 +107,21 @@ def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides):
         assert largest(values - 1.0) < EXACT and largest(gradients) < 10 * EXACT
 
 
-def turn(angle):
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("cell", CELLS)
 def test_linear_fields_are_exact_on_curved_sides(cell, order):
     """Also where the functions have a lower degree than the displacement and the cells."""
     bend = (lambda x: bent(x.T).T) if order == 2 else None
     mesh, _, tags = blocks(cell, order=order, transform=bend, partition="stripes")
-    u = moved(vectors(mesh, 2), bent)
+    u = moved(space(mesh, 2), bent)
     low, high = (dm.segments(scalars(mesh, k), tags, **SIDES, u=u) for k in (1, 2))
     x = positions(scalars(mesh, 2), u)
     g = np.arange(1.0, x.shape[1] + 1)
     for values, gradients in on_both(high, x @ g):
         assert values.shape == high.weight.shape and largest(gradients - g) < 100 * EXACT
     x_s, x_m = zip(*((v for v, _ in on_both(high, column)) for column in x.T), strict=True)
-    off = np.stack(x_m, axis=1) - high.x
     assert largest(np.stack(x_s, axis=1) - high.x) < EXACT
+    off = np.stack(x_m, axis=1) - high.x
     assert largest((off * high.normal).sum(axis=1) - high.gap) < EXACT
     assert largest(np.linalg.norm(high.normal, axis=1) - 1) < EXACT
     assert largest(low.x - high.x) == largest(low.weight - high.weight) == 0.0
@@ -141,18 +131,11 @@ def test_linear_fields_are_exact_on_curved_sides(cell, order):
 def test_dofs_and_cells_are_those_of_the_mesh():
     """Dofs of vectors are those of the components; cells are global, reference points in them."""
     mesh, cells, tags = blocks("hexahedron", partition="stripes")
-    V = vectors(mesh, 2)
+    V = space(mesh, 2)
     s, of_scalars = dm.segments(V, tags, **SIDES), dm.segments(scalars(mesh, 2), tags, **SIDES)
     assert s.slave_dofs.shape == (len(s.x), 27, 3)
     assert (s.master_dofs == 3 * of_scalars.master_dofs[:, :, None] + np.arange(3)).all()
-    x = positions(V)
-    field = x @ np.arange(9.0).reshape(3, 3)
-    for dofs, N, at in (
-        (s.slave_dofs, s.slave_values, s.x),
-        (s.master_dofs, s.master_values, s.x + s.gap[:, None] * s.normal),
-    ):
-        found = np.einsum("nk,nkc->nc", N, field.ravel()[dofs])
-        assert largest(found - at @ np.arange(9.0).reshape(3, 3)) < 100 * EXACT
+    assert (s.slave_dofs == 3 * of_scalars.slave_dofs[:, :, None] + np.arange(3)).all()
     first, last = mesh.topology.index_map(3).local_range
     assert (s.slave_cells >= first).all() and (s.slave_cells < last).all()
     values = np.zeros(last - first, dtype=np.int32)
@@ -162,24 +145,6 @@ def test_dofs_and_cells_are_those_of_the_mesh():
     assert (tag[s.slave_cells] == LOWER).all() and (tag[s.master_cells] == UPPER).all()
     for xi in (s.xi_slave, s.xi_master):
         assert xi.shape == s.x.shape and (xi > -EXACT).all() and (xi < 1 + EXACT).all()
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies", "empty"])
-def test_the_same_integrals_on_any_number_of_ranks(partition):
-    assert integrals(COMM, partition) == pytest.approx(integrals(MPI.COMM_SELF, "graph"), rel=1e-12)
-
-
-def integrals(comm, partition):
-    """Return integrals of values, gradients and gaps of both sides, after a motion."""
-    mesh, _, tags = blocks("tetrahedron", comm, (0.2, 1.3), gap=0.02, partition=partition)
-    V, u = scalars(mesh, 2), moved(vectors(mesh, 1), bent)
-    s = dm.segments(V, tags, **SIDES, u=u)
-    (T_s, g_s), (T_m, g_m) = on_both(s, np.sin(3 * positions(V) @ [1.0, 0.5, 2.0]))
-    along = [(g * s.normal).sum(axis=1) for g in (g_s, g_m)]
-    ones = np.ones_like(s.gap)
-    parts = [ones, s.gap, (T_s - T_m) ** 2, T_s * T_m, along[0] * along[1], along[1] * s.x[:, 0]]
-    return comm.allreduce(np.stack(parts) @ s.weight)
 
 
 # -- D and M
@@ -219,24 +184,6 @@ def test_D_and_M_are_sums_over_the_points(cell, degree):
     assert mortar.N is None and mortar.gap is None
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"feature_angle": 40.0}, {"weight": lambda x: 1 + x[:, 0]}]
-)
-@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
-def test_those_of_scalars_are_blocks_of_those_of_vectors(cell, degree, options):
-    mesh, cells, tags = blocks(cell, x_upper=(0.3, 1.2), partition="stripes")
-    if "feature_angle" in options:
-        tags = meshes.skins(mesh, cells, tags)
-    V, W = scalars(mesh, degree), vectors(mesh, degree)
-    u = moved(W, bent)
-    one, many = (dm.assemble_mortar(S, tags, **SIDES, u=u, **options) for S in (V, W))
-    assert (one.nodes == many.nodes).all() and one.D.getSize()[0] >= 3
-    d = mesh.geometry.dim
-    for A, B in ((one.D, many.D), (one.M, many.M)):
-        rows = (d * many.nodes[:, None] + np.arange(d)).ravel()
-        assert largest(np.kron(dense(A, V, one.nodes), np.eye(d)) - dense(B, W, rows)) == 0.0
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_displacement_of_another_space_moves_the_sides_of_V(degree):
@@ -245,9 +192,9 @@ def test_a_displacement_of_another_space_moves_the_sides_of_V(degree):
     V = scalars(mesh, degree)
     u = fem.Function(mixed(mesh, degree).sub(0).collapse()[0])
     u.interpolate(lambda x: 0.1 * np.stack([x[1], x[0] + x[1]]))
-    same = fem.Function(vectors(mesh, degree))
+    same = fem.Function(space(mesh, degree))
     same.interpolate(u)
-    low = fem.Function(vectors(mesh, 1))
+    low = fem.Function(space(mesh, 1))
     low.interpolate(u)
     expected = dm.assemble_mortar(V, tags, **SIDES, u=same)
     for other in (u, low):
@@ -279,49 +226,6 @@ def bodywise(V, cells, fields):
 K = {LOWER: 50.0, UPPER: 20.0}
 
 
-def conduction(cells, tags, exact):
-    """Return the matrix of two bodies that conduct, and what flows in at their free sides."""
-    V = exact.function_space
-    mesh, T, q = V.mesh, ufl.TrialFunction(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
-    constants = {tag: lambda x, value=value: 0 * x[0] + value for tag, value in K.items()}
-    k = bodywise(fem.functionspace(mesh, ("DG", 0)), cells, constants)
-    A = petsc.assemble_matrix(fem.form(k * ufl.inner(ufl.grad(T), ufl.grad(q)) * ufl.dx))
-    A.assemble()
-    sides = tuple(range(5, 5 + 2 * (mesh.topology.dim - 1)))
-    flux = k * ufl.dot(ufl.grad(exact), ufl.FacetNormal(mesh)) * q * ds(sides)
-    b = petsc.assemble_vector(fem.form(flux))
-    b.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
-    return A, b
-
-
-def owned_ends(V, tags):
-    """Return the owned nodes at bottom and top."""
-    facets = np.concatenate([tags.find(BOTTOM), tags.find(TOP)])
-    nodes = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, np.sort(facets))
-    return nodes[nodes < V.dofmap.index_map.size_local]
-
-
-def temperatures(cells, tags, exact, dofs, entries):
-    """Return those of all nodes, by those of the ends and blocks (n, k, k) of dofs (n, k)."""
-    V, (A, b) = exact.function_space, conduction(cells, tags, exact)
-    first, last = V.dofmap.index_map.local_range
-    coupling = np.zeros(2 * (V.dofmap.index_map.size_global,))
-    np.add.at(coupling, (dofs[:, :, None], dofs[:, None]), entries)
-    whole = dense(A, V, first + np.arange(last - first)) + COMM.allreduce(coupling)
-    fixed = np.concatenate(COMM.allgather(first + owned_ends(V, tags)))
-    T, right = everywhere(V, exact.x.array), np.concatenate(COMM.allgather(b.array))
-    free = np.setdiff1d(np.arange(len(T)), fixed)
-    right = (right - whole[:, fixed] @ T[fixed])[free]
-    found = T.copy()
-    found[free] = np.linalg.solve(whole[np.ix_(free, free)], right)
-    return found
-
-
-def jumps(s):
-    return np.hstack([s.slave_dofs, s.master_dofs]), np.hstack([s.slave_values, -s.master_values])
-
-
 # h, flux, temperatures of the two sides
 BARS = [
     (1e2, 13793.1, 172.414, 34.483),
@@ -337,7 +241,14 @@ def test_two_bars_in_series_with_a_resistance_between_them(cell, degree):
     mesh, cells, tags = blocks(cell, heights=(0.1, 0.05), width=0.03, partition="stripes")
     V, up = scalars(mesh, degree), mesh.geometry.dim - 1
     s = dm.segments(V, tags, **SIDES)
-    dofs, jump = jumps(s)
+    dofs = np.hstack([s.slave_dofs, s.master_dofs])
+    jump = np.hstack([s.slave_values, -s.master_values])
+    constants = {tag: lambda x, k=k: 0 * x[0] + k for tag, k in K.items()}
+    k = bodywise(fem.functionspace(mesh, ("DG", 0)), cells, constants)
+    form = k * ufl.inner(ufl.grad(ufl.TrialFunction(V)), ufl.grad(ufl.TestFunction(V))) * ufl.dx
+    A = petsc.assemble_matrix(fem.form(form))
+    A.assemble()
+    at = positions(V)[:, up]
     for h, *rounded in BARS:
         q = 200.0 / (0.1 / K[LOWER] + 1 / h + 0.05 / K[UPPER])
         low, high = 200.0 - q * 0.1 / K[LOWER], q * 0.05 / K[UPPER]
@@ -347,9 +258,14 @@ def test_two_bars_in_series_with_a_resistance_between_them(cell, degree):
             for tag, T in ((LOWER, low), (UPPER, high))
         }
         exact = bodywise(V, cells, straight)
-        entries = h * s.weight[:, None, None] * jump[:, :, None] * jump[:, None]
-        T = temperatures(cells, tags, exact, dofs, entries)
-        assert largest(T / 200.0 - everywhere(V, exact.x.array) / 200.0) < 1e-10
+        T, through = everywhere(V, exact.x.array), np.zeros(len(at))
+        flow = h * s.weight * (jump * T[dofs]).sum(axis=1)
+        np.add.at(through, dofs, flow[:, None] * jump)
+        left = everywhere(V, (A * exact.x.petsc_vec).array) + COMM.allreduce(through)
+        bottom, top = at < -0.1 + 1e-9, at > 0.05 - 1e-9
+        whole = q * 0.03**up
+        assert largest(left[~bottom & ~top]) < 1e-10 * whole
+        assert [left[bottom].sum(), left[top].sum()] == pytest.approx([whole, -whole], rel=1e-10)
         (T_s, g_s), (T_m, g_m) = on_both(s, T)
         for flux in (h * (T_s - T_m), -K[LOWER] * g_s[:, up], -K[UPPER] * g_m[:, up]):
             assert largest(flux / q - 1) < 1e-10
@@ -369,17 +285,31 @@ def given(**changes):
 @pytest.mark.mpi
 @pytest.mark.parametrize("call", CALLS)
 def test_spaces_and_displacements_that_do_not_fit(call):
-    arguments = given()
-    mesh, other = arguments["V"].mesh, blocks("triangle")[0]
+    arguments, (other, _, others) = given(), blocks("triangle")
+    mesh, none = arguments["V"].mesh, np.zeros(0, dtype=np.int32)
+    cells = dolfinx.mesh.meshtags(mesh, 2, none, none)
+    mesh.topology.create_entities(1)
+    every = np.arange(mesh.topology.index_map(1).size_local, dtype=np.int32)
+    inside = dolfinx.mesh.meshtags(mesh, 1, every, np.full(len(every), TOP_OF_LOWER, np.int32))
+    prisms = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
+    lost, _, of_lost = blocks("triangle")
+    lost.geometry.x[:, 0] = np.nan
     for changed, *words in (
         ({"V": fem.functionspace(mesh, ("DG", 1))}, "V has", "scalar or vector Lagrange"),
         ({"V": scalars(mesh, 3)}, "V has", "degree 3", "degree 1 or 2"),
         ({"V": fem.functionspace(mesh, ("Lagrange", 1, (3,)))}, "V has", "shape (3,)"),
-        ({"V": vectors(mesh, 1).sub(0)}, "V is in a part of a larger space", "collapse()"),
-        ({"u": fem.Function(vectors(other, 1))}, "u has to be a Function of V", "mesh of V"),
+        ({"V": space(mesh, 1).sub(0)}, "V is in a part of a larger space", "collapse()"),
+        ({"u": fem.Function(space(other, 1))}, "u has to be a Function of V", "mesh of V"),
         ({"u": fem.Function(scalars(mesh, 1))}, "u has the element", "vector Lagrange"),
         ({"u": np.zeros(3)}, "u has to be a Function of V", "array"),
-        ({"slave": 9}, "slave=9 marks no facet", "has the values"),
+        ({"V": scalars(prisms, 1), "facet_tags": inside}, "prism in 3D are not supported"),
+        ({"V": scalars(lost, 1), "facet_tags": of_lost}, "not finite"),
+        ({"facet_tags": others}, "slave=3", "another mesh"),
+        ({"facet_tags": cells}, "of dimension 2"),
+        ({"facet_tags": inside}, "slave=3", "inside the mesh"),
+        ({"slave": 9}, "slave=9 marks no facet", "has the values [1, 2, 3, 4, 5, 6]"),
+        ({"slave": 2**31}, "slave is 2147483648: "),
+        ({"slave": True}, "slave is True: "),
         ({"master": "lid"}, "master is 'lid'", "no names"),
         ({"master": TOP_OF_LOWER}, "slave=3 and master=3 share", "a tag of its own"),
         ({"master": TOP}, "slave=3 and master=2 can never meet", "check the tags"),
@@ -392,17 +322,13 @@ def test_spaces_and_displacements_that_do_not_fit(call):
 def test_what_only_one_of_them_refuses():
     """D and M have the facets of V; the functions of segments may have a lower degree than u."""
     arguments = given()
-    u = fem.Function(vectors(arguments["V"].mesh, 2))
+    u = fem.Function(space(arguments["V"].mesh, 2))
     with rejected("u has degree 2, V degree 1", "give V the degree 2", "interpolate"):
         dm.assemble_mortar(**arguments, u=u)
     assert COMM.allreduce(dm.segments(**arguments, u=u).weight.sum()) == pytest.approx(1.0)
     mesh, _, tags = blocks("triangle", order=2, transform=lambda x: bent(x.T).T)
     with rejected("V", "cells of the mesh are of degree 2", "degree 1"):
         dm.assemble_mortar(scalars(mesh, 1), tags, **SIDES)
-    lengths = [
-        COMM.allreduce(dm.segments(scalars(mesh, k), tags, **SIDES).weight.sum()) for k in (1, 2)
-    ]
-    assert lengths[0] == lengths[1] > 1.0
 
 
 @pytest.mark.mpi
@@ -410,7 +336,7 @@ def test_what_only_one_of_them_refuses():
 def test_displacements_that_turn_a_cell_inside_out(value):
     """Of one node, which one rank owns; not of the interface itself."""
     arguments = given()
-    u = fem.Function(vectors(arguments["V"].mesh, 1))
+    u = fem.Function(space(arguments["V"].mesh, 1))
     x = u.function_space.tabulate_dof_coordinates()
     u.x.array[1::2][np.abs(x - [1.0, 0.5, 0.0]).max(axis=1) < 1e-9] = value
     with (

@@ -1,31 +1,23 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: a run that was stopped ends in the same numbers, on any number of ranks."""
 
+import json
+import signal
+import xml.etree.ElementTree as ET
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.steps import walk as stepping
 from tests.cases.pressed_blocks import rejected
+from tests.cases.solid import largest
 from tests.checkpoint_program import LEVELS, Press
-from tests.checkpoint_runs import agree, numbers_at_once
+from tests.checkpoint_runs import agree, numbers_at_once, run
 
 COMM = MPI.COMM_WORLD
-
-
-@pytest.fixture(scope="module")
-def at_once():
-    """Return the numbers of all steps in one go."""
-    return numbers_at_once()
-
-
-def _owned(f):
-    """Return the owned values of a Function."""
-    V = f.function_space
-    return f.x.array[: V.dofmap.index_map.size_local * V.dofmap.index_map_bs]
 
 
 @pytest.mark.mpi
@@ -46,18 +38,8 @@ def test_the_state_comes_back_as_it_was(folder):
     assert dm.summarise(fresh.problem.history[1])["time"] == LEVELS[1]
     fields, expected = fresh.problem.output_fields(), press.problem.output_fields()
     for name, field in expected.items():
-        sums = [COMM.allreduce(np.abs(_owned(f)).sum()) for f in (fields[name], field)]
-        assert sums[0] == pytest.approx(sums[1], rel=1e-12), name
-
-
-@pytest.mark.mpi
-def test_one_rank_writes_and_all_go_on(folder, at_once):
-    if COMM.rank == 0:
-        list(Press(comm=MPI.COMM_SELF).walk(LEVELS[:2], checkpoint=folder / "one.h5"))
-    COMM.barrier()
-    press = Press()
-    assert [step.number for step in press.walk(checkpoint=folder / "one.h5")] == [3, 4]
-    agree(press.numbers(), at_once)
+        sizes = [largest(f.x.array) for f in (fields[name], field)]
+        assert sizes[0] == pytest.approx(sizes[1], rel=1e-12), name
 
 
 @pytest.mark.slow
@@ -164,8 +146,7 @@ def test_a_state_without_results_takes_them_away(folder):
     pressure, solid = press.contact.pressure, press.problem.solid
     press.problem.save(folder / "begin.h5")
     list(press.walk(LEVELS[:2]))
-    (largest,) = maximum(COMM, np.abs(pressure.x.array).max(initial=0.0))
-    assert largest > 0.0 and solid.max("plastic_strain_norm") > 0.0
+    assert largest(pressure.x.array) > 0.0 and solid.max("plastic_strain_norm") > 0.0
     press.problem.restore(folder / "begin.h5")
     assert press.contact.pressure is pressure and not pressure.x.array.any()
     with pytest.raises(dm.interfaces.results.NoResult):
@@ -173,3 +154,74 @@ def test_a_state_without_results_takes_them_away(folder):
     assert solid.max("von_mises") == solid.max("plastic_strain_norm") == 0.0
     assert not press.problem.history and not press.problem.committed.active.any()
     assert [step.number for step in press.walk(LEVELS[:1])] == [1]
+
+
+# -- jobs that were killed
+
+
+@pytest.fixture(scope="module")
+def at_once():
+    """Return the numbers of all steps in one go."""
+    return numbers_at_once()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "moment", ["write", *(pytest.param(m, marks=pytest.mark.slow) for m in ("step", "replace"))]
+)
+def test_a_run_that_is_killed_goes_on(tmp_path, at_once, moment):
+    """While a step is solved, a checkpoint is written, or just before it gets its name."""
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    code, output = run(1, file, result, 4, moment)
+    assert code == -signal.SIGKILL and not result.exists(), output
+    assert "load step 2 of 4 to 0.5: " in output  # nobody has configured logging
+    assert (tmp_path / "run.h5.part").exists() == (moment != "step")
+    (tmp_path / moment).unlink()
+    press = Press()
+    assert [step.number for step in press.walk(checkpoint=file)] == [3, 4]
+    agree(press.numbers(), at_once)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.h5"]
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("moment", "before", "after"),
+    [
+        *(("step", 2, 3), ("send", 3, 2)),
+        *(
+            pytest.param(*at, marks=pytest.mark.nightly)
+            for at in (("write", 2, 1), ("replace", 3, 2))
+        ),
+    ],
+)
+def test_a_job_of_several_ranks_that_is_killed_goes_on(tmp_path, at_once, moment, before, after):
+    """On other ranks; the parts of the checkpoint that all had sent come to nothing."""
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    code, output = run(before, file, result, 4, moment)
+    assert code != 0 and not result.exists(), output
+    (tmp_path / moment).unlink()  # so it was then
+    code, output = run(after, file, result, 4)
+    assert code == 0 and "2 of 4 steps are done, to 0.5; going on" in output, output
+    found = json.loads(result.read_text())
+    assert found.pop("made") == [3, 4]
+    agree(found, at_once)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["result.json", "run.h5"]
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+def test_a_job_that_is_killed_while_it_writes_results(tmp_path):
+    """The file holds the steps before, all that is in it can be read, and the next job goes on."""
+    meshio = pytest.importorskip("meshio")
+    file, result = tmp_path / "run.h5", tmp_path / "result.json"
+    for ranks, moment, steps in ((2, "output", 2), (1, "on", 4)):
+        code, output = run(ranks, file, result, 4, moment)
+        assert (code == 0) == (moment == "on"), output
+        times = [float(t.get("Value")) for t in ET.parse(tmp_path / "out.xdmf").iter("Time")]
+        assert times == [1, 2, 3, 4][:steps]
+        with meshio.xdmf.TimeSeriesReader(tmp_path / "out.xdmf") as reader:
+            reader.read_points_cells()
+            for k in range(steps):
+                assert reader.read_data(k)[0] == times[k]
+    assert json.loads(result.read_text())["made"] == [3, 4]

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.persistence import checkpoints, tables
-from dolfinx_mortar.persistence.checkpoints import material_numbers
-from dolfinx_mortar.persistence.tables import HEAD
+from dolfinx_mortar.persistence import checkpoints
+from dolfinx_mortar.persistence.checkpoints import HEAD, material_numbers
 from dolfinx_mortar.shapes import Cylinder
 from tests import tool_case
 from tests.cases.pressed_blocks import rejected
@@ -67,36 +66,37 @@ def test_no_file(press, folder):
     refused(press, folder / "none.h5", "there is no such checkpoint", error=OSError)
 
 
-def test_another_kind_of_file(press, good, folder):
+def other_head(change):
+    """Return what makes another word of the first line, whatever the lines behind it then mean."""
+
+    def make(file):
+        old = rf"{change.split()[0]} [\d.]+".encode()
+        file.write_bytes(re.sub(old, change.encode(), file.read_bytes(), count=1))
+
+    return make
+
+
+def unfinished(file):
+    """Leave a draft as it is before it gets its head, under the name of a checkpoint."""
+    with file.open("r+b") as raw:
+        raw.write(bytes(HEAD))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda file: file.write_text("time, force\n"), ["no checkpoint"]),
+        (lambda file: h5py.File(file, "w").close(), ["no checkpoint"]),
+        (unfinished, ["before it was complete", "take the last complete one"]),
+        *(
+            (other_head(c), [c, "with the version that has written it"])
+            for c in ("format 8", "format 11", "version 0.0")
+        ),
+    ],
+)
+def test_another_kind_of_file(press, good, folder, change, words):
+    refused(press, changed(good, folder, change), *words)
     refused(press, folder, "no checkpoint")
-    text = changed(good, folder, lambda file: file.write_text("time, force\n"))
-    refused(press, text, "no checkpoint")
-    other = changed(good, folder, lambda file: h5py.File(file, "w").close())
-    refused(press, other, "no checkpoint")
-
-
-def test_a_file_that_is_not_complete(press, good, folder):
-    """As a draft is before it gets its head, under the name of a checkpoint."""
-
-    def unfinished(file):
-        with file.open("r+b") as raw:
-            raw.write(bytes(HEAD))
-
-    file = changed(good, folder, unfinished)
-    refused(press, file, "before it was complete", "take the last complete one")
-
-
-@pytest.mark.parametrize("change", ["format 8", "format 10", "version 0.0", f"format {10**20}"])
-def test_another_format_or_version(press, good, folder, change):
-    """Known from the first line, whatever the lines behind it may then mean."""
-    word = change.split()[0]
-
-    def other(file):
-        text = file.read_bytes()
-        file.write_bytes(re.sub(rf"{word} [\d.]+".encode(), change.encode(), text, count=1))
-
-    words = "begins with 'dolfinx_mortar checkpoint", change, "with the version that has written it"
-    refused(press, changed(good, folder, other), *words)
 
 
 # -- problems
@@ -115,12 +115,10 @@ def test_another_format_or_version(press, good, folder, change):
             {"law": dm.VonMises(E=206_900.0, nu=0.29, Y=400.0, a=10_000.0)},
             ["material 0, VonMises: Y is 400.0, in the checkpoint 367.4"],
         ),
-        ({"law": {1: STEEL, 2: STEEL}}, ["solid: materials is 'VonMises, VonMises', in the"]),
         (
             {"surface": "facets"},
             ["problem: interfaces is \"Contact(slave=3, master=4, surface='facets')\", in"],
         ),
-        ({"slave": 4, "master": 3}, ["problem: interfaces is 'Contact(slave=4"]),
         ({"geometry": "reference"}, ["problem: geometry is 'reference', in", "'updated'"]),
     ],
 )
@@ -152,28 +150,19 @@ def with_tool(shape, **options):
     return block.problem([base, tool], bcs=())
 
 
-def disc(radius, at=8.0):
-    """Return a disc that touches the origin from above, as a function, with a point on the axis."""
-    return dm.shapes.SignedDistance(
-        lambda x: np.hypot(x[0], x[1] - radius) - radius, [0.0, at], length=radius
-    )
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("shape", "options", "word"),
     [
-        (disc(8.0), {}, ""),
-        (disc(9.0, at=8.0), {}, "distances"),
-        (disc(8.0), {"point": [5.0, -10.0]}, "reference"),
+        (Cylinder([0.0, 8.0], 8.0), {}, ""),
         (Cylinder([0.0, 8.0], 7.0), {}, "distances"),
+        (Cylinder([0.0, 8.0], 8.0), {"point": [5.0, -10.0]}, "reference"),
         (Cylinder([0.0, 8.0], 8.0), {"reference": [0.0, 0.0]}, "reference"),
     ],
 )
 def test_another_tool(folder, shape, options, word):
     """Its shape and its point belong to the slips, forces and positions of a checkpoint."""
-    first = type(shape)([0.0, 8.0], 8.0) if isinstance(shape, Cylinder) else disc(8.0)
-    with_tool(first).save(folder / "tool.h5")
+    with_tool(Cylinder([0.0, 8.0], 8.0)).save(folder / "tool.h5")
     problem = with_tool(shape, **options)
     if word:
         with rejected("a checkpoint of another problem: interfaces[", f"{word} is off by up to "):
@@ -190,9 +179,7 @@ def test_another_tool(folder, shape, options, word):
     ("given", "words"),
     [
         ({"checkpoint": 3}, ["checkpoint is 3", "give the name of a file"]),
-        ({"checkpoint": ""}, ["checkpoint is ''", "give the name of a file"]),
         ({"checkpoint": "x.h5", "every": 0}, ["every is 0", "an integer >= 1"]),
-        ({"checkpoint": "x.h5", "every": 1.5}, ["every is 1.5", "an integer"]),
         ({"checkpoint": "x.h5", "every": True}, ["every is True", "an integer"]),
         ({"every": 2}, ["every is 2", "there is no checkpoint"]),
     ],
@@ -204,16 +191,16 @@ def test_arguments_of_a_walk(press, given, words):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["x" * 300, "x" * 252, "pipe"])
+@pytest.mark.parametrize("name", ["x" * 252, "pipe", ".", "none/x.h5"])
 def test_names_under_which_no_checkpoint_can_be_written(press, folder, name):
-    """Too long, or too long for the draft; or in use for what is no file, and would be replaced."""
+    """Too long for the draft, in use for what is no file, or in no folder; told before a step."""
     if COMM.rank == 0:
         os.mkfifo(folder / "pipe")
     COMM.barrier()
-    words = name, "cannot be written", "choose a file in an existing, writable folder"
+    words = "cannot be written", "existing, writable folder"
     with rejected(*words, error=OSError):
         press.problem.save(folder / name)
-    if name != "pipe":
+    if name not in ("pipe", "."):
         with rejected(*words, error=OSError):
             next(press.walk(LEVELS, checkpoint=folder / name))
     assert [path.name for path in folder.iterdir()] == ["pipe"]
@@ -243,23 +230,11 @@ def test_a_writer_and_a_checkpoint_of_one_name(good, folder):
     assert file.read_bytes() == good.read_bytes()
 
 
-@pytest.mark.mpi
-def test_a_folder_that_is_not_there(press, folder):
-    """Told before the first step, not after it."""
-    words = "which cannot be written", "existing, writable folder"
-    with rejected(*words, error=OSError):
-        next(press.walk(LEVELS, checkpoint=folder / "none" / "x.h5"))
-    for file in (folder / "none" / "x.h5", folder):
-        with rejected(*words, error=OSError):
-            press.problem.save(file)
-    assert not press.problem.u.x.array.any()
-
-
 # -- what goes wrong while writing
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("work", ["demand_space", "seal"])
+@pytest.mark.parametrize("work", ["common.disk.demand_space", "persistence.checkpoints.seal"])
 def test_a_disk_that_fails(good, folder, monkeypatch, work):
     """Rank 0 takes what the others send, and all are told; the last checkpoint stays."""
     file, press = changed(good, folder, lambda file: None), Press()
@@ -267,7 +242,7 @@ def test_a_disk_that_fails(good, folder, monkeypatch, work):
     def fail(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(tables, work, fail)
+    monkeypatch.setattr(f"dolfinx_mortar.{work}", fail)
     with rejected("could not be written", "no space left", error=OSError):
         press.problem.save(file)
     assert file.read_bytes() == good.read_bytes()

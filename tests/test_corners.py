@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A node in the corner between two interfaces, which one of them gets: answers and notes."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,12 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.meshing.two_bodies import distribute
-from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, _block
 from tests.cases.meshes_3d import rotation
 from tests.cases.pressed_blocks import COMM, failing, rejected
 from tests.cases.solid import rectangle, tag_facets
-from tests.cases.two_bodies import SIDES, TwoBodies, create_problem, held
+from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 pytestmark = pytest.mark.mpi
 
@@ -82,12 +80,12 @@ def on_a_corner(tilt, place=0.6, **options):
     return case
 
 
-def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, push=0.01, **options):
+def friction_of_a_drawn_corner(slave, tilt, whole=False, push=0.01, **options):
     """Draw a block that stands on its corner over another one; return |Ft/Fn|."""
     case = on_a_corner(tilt, whole=whole)
-    contact = case.interface(slave=slave, friction=friction)
+    contact = case.interface(slave=slave, friction=0.3)
     problem = case.problem([contact], law=dm.Elastic(1.0, 0.3))
-    for n in range(4 if friction else 1):
+    for n in range(4):
         case.top.value[:] = 3 * n * push, -push
         dm.newton(problem, **options)
         problem.commit()
@@ -102,14 +100,6 @@ def test_a_corner_drawn_over_a_face(slave, tilt, whole):
     """Friction is mu times the force normal to the face, whichever is the slave."""
     found = friction_of_a_drawn_corner(slave, tilt, whole, push=1e-3)
     assert found == pytest.approx(0.3, rel=0.001)
-
-
-@pytest.mark.parametrize(
-    ("slave", "degrees", "whole"), [(s, a, s != w) for s, a, w in product(SIDES, (2, 17), SIDES)]
-)
-def test_a_corner_that_leans_on_a_face(slave, degrees, whole):
-    """Without friction the force is normal to the face, at any angle and with either slave."""
-    assert friction_of_a_drawn_corner(slave, np.radians(degrees), whole, friction=None) < 1e-3
 
 
 def test_a_corner_drawn_over_facets_of_the_slave():
@@ -194,16 +184,16 @@ def test_edges_and_corners_on_a_plate_in_space(axis, swap):
 def pressed(split, floor_is_slave):
     """Drag a block, perhaps of two halves that are tied, over a floor; return contact and notes."""
     upper = [(0, 1, 0, 1, 4, 4), (1, 2, 0, 1, 4, 4)] if split else [(0, 2, 0, 1, 8, 4)]
-    domain, _, facets = create_blocks(COMM, [(-1, 3, -1, 0, 16, 4), *upper], cell="quadrilateral")
+    b = Blocks([(-1, 3, -1, 0, 16, 4), *upper], cell="quadrilateral")
     same = {30 + BELOW: 20 + BELOW, 30 + ABOVE: 20 + ABOVE}  # sides of the right half
-    values = np.array([same.get(v, v) for v in facets.values], dtype=np.int32)
-    tags = mesh.meshtags(domain, 1, facets.indices, values)
-    V, push = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, np.zeros(2))
-    bcs = [held(V, tags, 10 + BELOW), held(V, tags, 20 + ABOVE, push)]
+    values = np.array([same.get(v, v) for v in b.facets.values], dtype=np.int32)
+    b.facets = mesh.meshtags(b.mesh, 1, b.facets.indices, values)
+    push = fem.Constant(b.mesh, np.zeros(2))
+    bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, value=push)]
     slave, master = (10 + ABOVE, 20 + BELOW)[:: 1 if floor_is_slave else -1]
-    contact = dm.Contact(tags, slave=slave, master=master, friction=0.3)
-    ties = [dm.Tie(tags, slave=20 + EAST, master=30 + WEST)] if split else []
-    problem = create_problem(V, [*ties, contact], bcs, ELASTIC)
+    contact = dm.Contact(b.facets, slave=slave, master=master, friction=0.3)
+    ties = [b.join(dm.Tie, (2, EAST), (3, WEST))] if split else []
+    problem = b.problem([*ties, contact], bcs, ELASTIC)
     ramp = {push: [(0.0, (0.0, 0.0)), (1.0, (0.0, -0.02)), (2.0, (0.02, -0.02))]}
     notes = []
     for step in dm.load_steps(problem, [1.0, 2.0], ramp=ramp, rtol=1e-9, progress=False):
@@ -223,12 +213,10 @@ def test_a_tie_that_ends_in_a_contact():
     assert not any("masters" in note for note in notes)
 
 
-def beam(x0, y0, n=40, m=3):
+def beam(x, y):
     """Return nodes and quadrilaterals of a cantilever 2032 long and 63.5 thick."""
-    x, y = np.linspace(x0, x0 + 2032.0, n + 1), np.linspace(y0 - 31.75, y0 + 31.75, m + 1)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m)))
-    points = np.stack([np.tile(x, m + 1), np.repeat(y, n + 1)], axis=1)
-    return points, (j * (n + 1) + i)[:, None] + np.array([0, 1, n + 1, n + 2])
+    lines, rows = np.linspace(0.0, 2032.0, 41), np.linspace(-31.75, 31.75, 4)
+    return _block(x + lines, y + rows, "quadrilateral")
 
 
 @pytest.mark.slow

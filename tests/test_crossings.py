@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Boundaries of bodies that cross where nothing couples them: found, with depth and place."""
+"""Boundaries of bodies that cross where nothing couples them, and distances of facets."""
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
-from dolfinx_mortar.geometry.flat import near_pairs
+from dolfinx_mortar.geometry import flat
+from dolfinx_mortar.geometry.facets import QUAD4, Facets
 from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from tests.cases.block_piles import ABOVE, BELOW, Blocks
-from tests.cases.box_piles import THREE, create_boxes
-from tests.cases.meshes import skins
+from tests.cases.meshes import box_cells, box_points, create_distributed, skins
 from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -39,8 +41,8 @@ def pierces(p, q, facet):
 def test_all_pairs_and_no_others(d, n):
     """Facets of all sizes at random: those found are those of a search over all pairs."""
     x, body = random_facets(d, n, d)
-    pairs = near_pairs(x, body, ~np.eye(2, dtype=bool))
-    depth, _ = overlaps_of_facets(x, np.zeros(len(x)), pairs)
+    pairs = flat.near_pairs(x, body, ~np.eye(2, dtype=bool))
+    depth, _ = flat.find_overlaps(x, np.zeros(len(x)), pairs)
     found = {*map(frozenset, pairs[depth > 0.0].tolist())}
     edges = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
     every = [(a, b) for a in range(n) for b in range(n) if body[a] != body[b]]
@@ -50,6 +52,36 @@ def test_all_pairs_and_no_others(d, n):
         if any(pierces(x[a, i], x[a, j], x[b]) for i, j in edges)
     }
     assert len(crossing) > 10 and found == crossing
+
+
+def least(a, b):
+    """Return the distance of two parallelograms or lines, by a least-squares problem in a box."""
+    edges = [x[[1, -1]][: len(x) // 2] - x[0] if len(x) > 2 else x[1:] - x[0] for x in (a, b)]
+    A = np.concatenate([edges[0], -edges[1]]).T
+    found = lsq_linear(A, b[0] - a[0], (0.0, 1.0), method="bvls", tol=1e-15)
+    return np.linalg.norm(A @ found.x - (b[0] - a[0]))
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1).map(np.random.default_rng))
+def test_distances_of_lines_and_parallelograms(rng):
+    lines = rng.normal(size=(2, 2, 2))
+    assert np.isclose(flat.distances(*lines[:, None])[0], least(*lines), atol=1e-7)
+    corners = rng.normal(size=(2, 3, 3))
+    quads = np.concatenate([corners, corners[:, [0]] + corners[:, [2]] - corners[:, [1]]], axis=1)
+    found = flat.facet_distances(*(Facets(QUAD4, x[None]) for x in quads))[0]
+    assert np.isclose(found, least(*quads), atol=1e-7)
+
+
+def test_distance_of_triangles_that_pierce_each_other_or_lie_in_a_line():
+    base = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+    for tip, expected in ((-1.0, 0.0), (0.25, 0.25)):
+        pin = np.array([[[0.2, 0.2, tip], [0.2, 0.2, 3], [0.25, 0.2, 3]]])
+        assert abs(flat.distances(base, pin)[0] - expected) < 1e-15
+        assert abs(flat.distances(pin, base)[0] - expected) < 1e-15
+    line = np.array([[[0.0, 0], [1, 0]]])
+    assert flat.distances(line, line + np.array([3.0, 0.0]))[0] == 2.0
+    assert flat.distances(line, line[:, ::-1] + np.array([0.5, 0.25]))[0] == 0.25
 
 
 def find_crossing(problem):
@@ -123,15 +155,34 @@ def test_beside_a_contact(cell):
         assert (find_crossing(problem).share > 0.1) is crosses
 
 
+# A base, and two boxes on it, side by side: all three meet in an edge.
+THREE = (
+    ((0.0, 0.0, -1.0), (2.0, 1.0, 0.0)),
+    ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+    ((1.0, 0.0, 0.0), (2.0, 1.0, 1.0)),
+)
+
+
+def create_boxes(boxes):
+    """Create boxes, each of its lowest and highest corner and cells in three directions."""
+    points, cells, first = [], [], 0
+    for low, high, n in boxes:
+        lines = [np.linspace(a, b, m + 1) for a, b, m in zip(low, high, n, strict=True)]
+        points.append(box_points(lines))
+        cells.append(first + box_cells(n, "hexahedron"))
+        first += len(points[-1])
+    return create_distributed(COMM, np.concatenate(points), np.concatenate(cells), "hexahedron")
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "cells", [((1, 1, 1), (1, 1, 1), (1, 1, 1)), ((5, 2, 2), (2, 2, 2), (3, 2, 2))]
 )
 def test_edges_that_touch_a_flank_do_not_cross_it(cells):
     """Three boxes around an edge, strained alike up to 1e-9, as a solver leaves them."""
-    mesh, tags = create_boxes(COMM, [(*box, n) for box, n in zip(THREE, cells, strict=True)])
+    mesh = create_boxes([(*box, n) for box, n in zip(THREE, cells, strict=True)])
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    contacts = dm.find_pairs(mesh, tags, show=False).contacts
+    contacts = dm.find_pairs(mesh, show=False).contacts
     problem = create_problem(V, contacts)
     strain = np.array([[-0.01], [0.003], [-0.01]])
     turn = np.array([[12.9898, 78.233, 37.719], [39.346, 11.135, 83.155], [73.156, 52.235, 9.151]])

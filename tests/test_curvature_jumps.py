@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
 from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.cases.close_fits import nested
+from tests.cases.close_fits import nested, ring_cells
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -47,11 +47,9 @@ def oval():
 
 def body(inner, outer, layers):
     """Return nodes and quadrilaterals between two outlines of as many nodes."""
-    n, shares = len(inner), np.linspace(0.0, 1.0, layers + 1)[:, None, None]
-    layer, i = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
-    first, behind = layer * n + i, layer * n + (i + 1) % n
-    cells = np.column_stack([first, first + n, behind, behind + n]).astype(np.int64)
-    return ((1 - shares) * inner + shares * outer).reshape(-1, 2), cells
+    shares = np.linspace(0.0, 1.0, layers + 1)[:, None, None]
+    x = (1 - shares) * inner + shares * outer
+    return x.reshape(-1, 2), ring_cells(len(inner), layers)
 
 
 def fit(peg, hole, layers=1):

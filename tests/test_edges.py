@@ -10,9 +10,13 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx_mortar.geometry.facets import facet_normals, points_of
+from dolfinx_mortar.mortar.integrals import find_segments
+from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
+from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_overlaps
 from tests.cases.ball import create_problem
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, skins
 from tests.cases.meshes_3d import rotation
 from tests.cases.moving_bodies import Blocks
 from tests.cases.two_bodies import SIDES, TwoBodies
@@ -22,11 +26,11 @@ SLAVES = pytest.mark.parametrize("slave", SIDES)
 pytestmark = pytest.mark.mpi
 
 
-def crossing(x):
+def crossing(x, low=55, high=33):
     """Turn two cubes so that an edge of one lies across one of the other, both of them tilted."""
     upper = x[:, 2] > 0.5
-    low = (x - [0.5, 1.0, 0.0]) @ rotation((1, 0, 0), np.radians(55)).T
-    high = (x - [1.0, 0.5, 1.0]) @ rotation((0, 1, 0), np.radians(33)).T
+    low = (x - [0.5, 1.0, 0.0]) @ rotation((1, 0, 0), np.radians(low)).T
+    high = (x - [1.0, 0.5, 1.0]) @ rotation((0, 1, 0), np.radians(high)).T
     low[:, 2] -= low[~upper, 2].max()
     high[:, 2] -= high[upper, 2].min()
     return np.where(upper[:, None], high, low)
@@ -130,22 +134,6 @@ def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
 
 
 @SLAVES
-def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave):
-    """A vertex of the slave or of the master, moved into the other side after the solution."""
-    case = on_a_corner()
-    contact = case.interface(slave=slave)
-    problem = case.problem([contact], case.bcs(0.0, 0.001))
-    dm.newton(problem)
-    assert lost(contact, problem) == []
-    for depth in (0.04, 0.6):
-        case.raise_upper(0.0, -depth)
-        found = lost(contact, problem)
-        if depth < 0.5:
-            assert found == [(pytest.approx([0.5, -depth]), depth, 12)]
-        assert all(d < 0.5 for _, d, _ in found)
-
-
-@SLAVES
 def test_a_bulge_between_vertices_is_seen(slave):
     """Curved sides lie in each other where neither has a vertex."""
     case = TwoBodies(degree=2, n_lower=(1, 1), n_upper=(1, 1), gap=0.01)
@@ -159,28 +147,21 @@ def test_a_bulge_between_vertices_is_seen(slave):
     assert 0.07 < depth <= 0.09 and 0.2 < place[0] < 0.8 and share == round(100.0 * depth)
 
 
-def ridges(x):
-    """Turn two cubes by 45 degrees so that an edge of one lies across one of the other."""
-    upper = x[:, 2] > 0.5
-    low = (x - [0.5, 1.0, 0.0]) @ rotation((1, 0, 0), np.radians(45)).T
-    high = (x - [1.0, 0.5, 1.0]) @ rotation((0, 1, 0), np.radians(45)).T
-    return np.where(upper[:, None], high, low)
-
-
 @pytest.mark.parametrize(("n", "degree", "noted"), [(2, 1, False), (3, 1, True), (3, 2, True)])
 @SLAVES
 def test_edges_that_cross_between_nodes_are_noted(slave, n, degree, noted):
     """Facets are 1/n long, and edges lost by 0.06 of them; where they cross at nodes, none is."""
     cell = "hexahedron" if noted else "tetrahedron"
-    options = {"n_lower": (n, n, n), "n_upper": (n, n, n), "gap": 1.0, "transform": ridges}
+    options = {"n_lower": (n, n, n), "n_upper": (n, n, n), "gap": 1.0}
+    options["transform"] = lambda x: crossing(x, 45, 45)
     case = TwoBodies(cell, degree, whole=True, **options)
     contact = case.interface(slave=slave)
     problem = case.problem([contact], case.bcs(0.0, 0.0, -0.02))
     notes = dm.newton(problem).notes
     assert any("deep in each other" in note for note in notes) is noted
     if noted and degree == 1:
-        crossing = [0.0, 0.0, -0.01]
-        assert lost(contact, problem) == [(pytest.approx(crossing, abs=0.0101), 0.02, 6)]
+        place = pytest.approx([0.0, 0.0, -0.01], abs=0.0101)
+        assert lost(contact, problem) == [(place, 0.02, 6)]
     assert (np.abs(contact.force[2]) > 1.0) is not noted
 
 
@@ -217,3 +198,56 @@ def test_pressure_is_constant_beside_a_clamped_node(slave):
     assert np.abs(case.u.x.array - exact.x.array).max(initial=0) < 1e-12
     pressure = contact.gather(case.u)["pressure"]
     assert np.abs(pressure[pressure > 0] - 10.0).max() < 1e-8
+
+
+# -- partners, and what whole skins hold
+
+
+@pytest.mark.parametrize("gap", [0.1, -0.1])
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
+def test_partners_face_each_other_from_outside(cell, gap):
+    """Whole skins have the partners of the two sides between the bodies, and no others."""
+    if cell == "triangle":
+        up, sizes = np.array([-np.sin(0.4), np.cos(0.4)]), {"n_upper": (5, 4), "angle": 0.4}
+    else:
+        turn = rotation((1, 2, 3), 0.7)
+        up, sizes = turn[:, 2], {"n_upper": (2, 3, 2), "turn": turn}
+    n_lower = (6, 3) if cell == "triangle" else (3, 3, 2)
+    case = TwoBodies(cell, n_lower=n_lower, heights=(0.5, 0.75), gap=gap, **sizes)
+    V, tags = case.V, skins(case.mesh, case.cells, case.facets, keep=())
+    for slave, master in (SIDES, SIDES[::-1]):
+        sides = (create_surface(V, tags, tag, "side") for tag in (slave, master))
+        pairing = create_pairing(*sides, None)
+        points, _ = find_segments(pairing, None)
+        facets = facets_at(pairing.slave, pairing.slave.X)
+        n = facet_normals(facets)[points.slave]
+        across = np.abs(n @ up) > 0.5
+        x_m = points_of(received_facets(pairing, None), points.master, points.xi_m)
+        along = ((x_m - points_of(facets, points.slave, points.xi_s)) * n).sum(axis=1)
+        assert np.abs(along[across] - gap).max(initial=0) < 1e-12
+        # in the plane averaged normals fan out at the edges, one way or the other
+        fan = 2 * abs(gap) if cell == "triangle" else 1e-12
+        assert COMM.allreduce(points.weight[across].sum()) == pytest.approx(1.0, abs=fan)
+        # flanks that overlap look through both bodies, one thickness deep
+        assert not (~across).any()
+
+
+@pytest.mark.parametrize("cells", [2, 4])
+def test_clamped_bodies_are_held(cells):
+    """What edges seem to take from the contact is no part of what clamps hold."""
+    sizes = {"n_lower": (3, 3, 2), "n_upper": (cells, cells, 2), "upper": (0.2, 0.8, 0.2, 0.8)}
+    case = TwoBodies("tetrahedron", whole=True, **sizes)
+    audit = case.problem([case.interface(swap=True)]).audit()
+    assert not audit.held_by_contact
+    assert audit.interfaces[0].least_gap == audit.interfaces[0].largest_gap == 0.0
+
+
+def test_a_tall_block_stands_on_a_plate():
+    """It cannot tilt: edges are no facets of a curved side, along which a body may slide."""
+    case = TwoBodies(whole=True, n_lower=(4, 2), n_upper=(3, 6), heights=(1.0, 4.0))
+    V = case.V.sub(0)
+    corner = fem.locate_dofs_geometrical(
+        (V, V.collapse()[0]), lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 4.0)
+    )
+    slide = fem.dirichletbc(fem.Function(V.collapse()[0]), corner, V)
+    assert case.problem(bcs=[case.held(BOTTOM), slide]).audit().held_by_contact

@@ -81,18 +81,6 @@ def test_a_tensor_that_is_not_symmetric():
     dm.Solid(u, LAW, eigenstrain=ufl.sym(gradient))
 
 
-def test_plane_strain_holds_the_thickness():
-    """Heated and free in the plane: sigma_zz = -E e0, u = (1 + nu) e0 x."""
-    problem = stand(block(2), LAW, rollers, eigenstrain=2e-3)
-    dm.newton(problem, rtol=1e-13)
-    u, solid = problem.u, problem.solid
-    stress = solid.fields.values("stress")
-    assert largest(stress - np.array([0.0, 0.0, -E * 2e-3, 0.0])) < 1e-12 * E
-    expected = fem.Function(solid.V)
-    expected.interpolate(lambda x: (1 + NU) * 2e-3 * x[:2])
-    assert largest(u.x.array - expected.x.array) < 1e-15
-
-
 @pytest.mark.parametrize(("d", "volumetric"), [(2, "full"), (2, "reduced"), (3, "full")])
 def test_a_clamped_body_is_pressed_from_all_sides(d, volumetric):
     """-E e0 / (1 - 2 nu) in all directions, and the energy of that, in one iteration."""
@@ -193,18 +181,14 @@ def test_a_shrink_fit_by_cooling(slave):
     ("given", "said"),
     [
         (np.eye(2), "eigenstrain has the shape (2, 2): give a scalar "),
-        (np.zeros(3), "eigenstrain has the shape (3,): give a scalar"),
         ("hot", "eigenstrain is a str: give a scalar"),
         ({7: 1e-3}, "eigenstrain: no cell has the tag 7; cell_tags has 1, 2"),
         ({1: np.nan}, "eigenstrain[1] is NaN or infinite at "),
         ([[0, 0, 1e-3], [0, 0, 0], [1e-3, 0, 0]], "has components xz or yz at "),
-        ([["a"]], "eigenstrain is [['a']]: give a scalar"),
         (True, "eigenstrain is True: give a scalar"),
         (1j, "eigenstrain is 1j: give a scalar "),
-        ({1: np.bool_(True)}, "eigenstrain[1] is a bool: give a scalar"),
         (lambda u: u[0], "depends on the displacement"),
         (lambda u: displacement(2)[0], "another mesh"),
-        (lambda u: ufl.TestFunction(u.function_space)[0], ": give a scalar"),
     ],
 )
 def test_what_is_no_eigenstrain_is_refused(given, said):
@@ -213,11 +197,8 @@ def test_what_is_no_eigenstrain_is_refused(given, said):
     with rejected(said):
         given = given(u) if callable(given) else given
         dm.Solid(u, {1: LAW, 2: LAW}, cell_tags, eigenstrain=given)
-
-
-def test_entries_by_tag_need_tags():
     with rejected("dictionary by cell tag: give an entry, and cell_tags"):
-        stand(block(2), LAW, eigenstrain={1: 1e-3})
+        dm.Solid(u, LAW, eigenstrain={1: 1e-3})
 
 
 def test_what_becomes_undefined_later_is_refused_and_nothing_changes():
@@ -233,5 +214,5 @@ def test_what_becomes_undefined_later_is_refused_and_nothing_changes():
             call()
     assert (problem.u.x.array == 0.0).all() and (solid.stress.x.array == before).all()
     heat.value = 2e-3
-    dm.newton(problem)
+    dm.newton(problem)  # rollers hold it along z alone
     assert np.isclose(solid.max("stress_zz"), -E * 2e-3)

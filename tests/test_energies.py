@@ -174,17 +174,6 @@ def test_bodies_by_name_and_in_checkpoints(folder):
     assert found["lower"].dissipated > first["lower"].dissipated
 
 
-def test_a_step_that_fails_dissipates_nothing():
-    case, problem = create_blocks()
-    before = step(case, problem, 0.03)
-    case.top.value[1] = -0.09
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, max_it=1, rtol=1e-12)
-    assert problem.solid.energies() == before
-    problem.commit()
-    assert problem.solid.energies() == before
-
-
 def test_what_has_no_energies():
     u = create_displacement(create_domain("triangle", 2))
     with rejected("energies", "Solid(.., energies=True)"):

@@ -148,6 +148,7 @@ def twice(c):
 
 
 VECTOR = '("Lagrange", 1, (2,))'
+BOTH = {1: ELASTIC, 2: ELASTIC}
 REFUSED = [  # a call, and words of its message
     (lambda c: c.problem([c.contact(facets=PressedBlocks().facets)]), "facet_tags", "another mesh"),
     (
@@ -170,12 +171,10 @@ REFUSED = [  # a call, and words of its message
     ),
     # materials
     (lambda c: dm.VonMises.from_uniaxial(1.0, 0.3, -1.0, 1.0), "yield_stress is -1.0"),
-    *(
-        (lambda c, d=d: dm.Solid(c.u, ELASTIC, quadrature_degree=d), f"quadrature_degree is {d}")
-        for d in (-1, 1.5, 31)
-    ),
-    (lambda c: dm.Solid(c.u, {1: ELASTIC}, PressedBlocks().cells), "cell_tags"),
-    (lambda c: dm.Solid(c.u, {1: ELASTIC}, c.facets), "cell_tags"),
+    (lambda c: dm.Solid(c.u, ELASTIC, quadrature_degree=31), "quadrature_degree is 31"),
+    (lambda c: dm.Solid(c.u, {1: ELASTIC}, PressedBlocks().cells), "cell_tags", "of the same mesh"),
+    (lambda c: dm.Solid(c.u, BOTH | {5: ELASTIC}, c.cells), "no cell has the tag 5"),
+    (lambda c: dm.Solid(c.u, {1: ELASTIC, 2: dm.VonMises}, c.cells), "not a material"),
     # problems
     (lambda c: c.problem([c.facets]), "interfaces[0] is", "Contact or Tie"),
     (twice, "interfaces", "twice"),
@@ -190,7 +189,7 @@ REFUSED = [  # a call, and words of its message
     (load(lambda c, v: fem.form(v[0] * ufl.dx)), "loads", "UFL"),
     # steps
     (lambda c: step(c, qp="simplex"), "qp is", "'active-set'", "'interior-point'"),
-    *((lambda c, r=r: step(c, rtol=r), "rtol", "give a") for r in (0.0, 1.0)),
+    (lambda c: step(c, rtol=1.0), "rtol", "give a"),
     (lambda c: step(c, max_it=0), "max_it", "give a"),
     (lambda c: walk(c, max_cuts=-1), "max_cuts", "an integer >= 0"),
     (lambda c: walk(c, times=np.array(1.0)), "times", "give a list", "[1.0]"),
@@ -290,12 +289,11 @@ ON_ONE_RANK = [  # what only one rank may see
     ),
     *(
         (lambda c, d=d, i=i: c.problem(bcs=[*c.bcs(), no_dof(c, d, i)]), *NO_DOF)
-        for d, i in ((-1, None), (10**6, None), (2**31 - 1, 0))
+        for d, i in ((-1, None), (2**31 - 1, 0))
     ),
     *(
         (make, "tags mark the entity", f"of dimension {dim}", "this rank has 0 to")
         for dim, make in (
-            (1, lambda c: c.problem([c.contact(facets=no_entity(c, 1, c.facets, -1))])),
             (1, lambda c: c.problem([c.contact(facets=no_entity(c, 1, c.facets, 10**6))])),
             (2, lambda c: dm.Solid(c.u, {1: ELASTIC}, no_entity(c, 2, c.cells, -(2**31)))),
         )
@@ -303,7 +301,6 @@ ON_ONE_RANK = [  # what only one rank may see
     (nan_in_loads, "loads", "nan", "coefficients"),
     (nan_in_supports, "bcs: 1 values", "NaN", "check the values"),
     (nan_in_start, "u:", "finite displacement"),
-    (lambda c: nan_in_mesh(c, -1.0), "coordinates", "check the mesh"),
     (lambda c: nan_in_mesh(c, -1.0, after=True), "coordinates", "check the mesh"),
     (lambda c: nan_in_mesh(c, 0.0), "coordinates", "finite"),
 ]
@@ -331,12 +328,10 @@ def test_sides_that_supports_bring_together():
 
 
 def test_complex_build(case, monkeypatch):
-    contact = case.contact()
     monkeypatch.setattr(PETSc, "ScalarType", np.complex128)
-    with rejected("complex", "real"):
-        dm.Solid(case.u, ELASTIC)
-    with rejected("complex", "real"):
-        mortar(case, facet_tags=contact.facet_tags)
+    for call in (lambda: dm.Solid(case.u, ELASTIC), lambda: mortar(case)):
+        with rejected("complex", "real"):
+            call()
 
 
 def test_complex_values(case):
@@ -347,10 +342,8 @@ def test_complex_values(case):
     bc = fem.dirichletbc(value, ints(0), case.V)
     for call, name in (
         (lambda: case.problem(bcs=[bc]), "bcs holds"),
-        (lambda: case.problem(loads=ufl.inner(value, v) * ufl.dx), "loads holds"),
         (lambda: case.problem(potential=number * case.u[0] ** 2 * ufl.dx), "potential holds"),
         (lambda: dm.Solid(case.u, dm.Elastic(number, 0.3)), "Elastic: E holds"),
-        (lambda: dm.Solid(case.u, ELASTIC, eigenstrain=number), "eigenstrain holds"),
         (lambda: dm.Solid(fem.Function(case.V, dtype=np.complex128), ELASTIC), "u holds"),
         (lambda: dm.Tie(case.facets, **SIDES, jump=value), "jump holds"),
     ):
@@ -389,8 +382,7 @@ def test_two_values_on_two_ranks(case):
             case.problem(bcs=[case.bc(BOTTOM), *bcs])
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_becomes_no_number(case, value):
+def test_what_becomes_no_number(case, value=np.nan):
     """Values of supports and coefficients, in the audit and in steps that are made afterwards."""
     stiffness = fem.Constant(case.mesh, value)
     problem = case.problem(potential=stiffness * (1.0 + case.u[0]) ** 2 * ufl.dx)

@@ -13,7 +13,7 @@ from tests.choice import quick
 
 RADIUS, THICK, TAIL = 10.0, 0.1, 4.0
 BELT_SIDE, DRUM_SIDE, SHAFT, ENDS = 1, 2, 3, 4
-CASE = 0.3, 2.0, BELT_SIDE
+MU, PULL = 0.3, 2.0
 BELT, DRUM = 80, 71  # facets around the belt's half of the drum, and around a little more
 
 
@@ -51,8 +51,8 @@ def side(body, x):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("mu", "pull", "slave"), quick([(0.3, 2.0, DRUM_SIDE), CASE], CASE))
-def test_a_belt_on_a_drum(mu, pull, slave):
+@pytest.mark.parametrize("slave", quick([DRUM_SIDE, BELT_SIDE], BELT_SIDE))
+def test_a_belt_on_a_drum(slave):
     """It slips to both sides, and its pressure falls towards the top as Euler's; without cuts."""
     made = Bodies.of(bodies(), side)
     domain, cells, facets = made.mesh, made.cells, made.facets
@@ -60,24 +60,24 @@ def test_a_belt_on_a_drum(mu, pull, slave):
     traction = fem.Constant(domain, np.zeros(2))
     ds = ufl.Measure("ds", domain, subdomain_data=facets)
     master = BELT_SIDE + DRUM_SIDE - slave
-    contact = dm.Contact(facets, slave=slave, master=master, friction=mu)
+    contact = dm.Contact(facets, slave=slave, master=master, friction=MU)
     bcs = [held(V, facets, ENDS, 0.0, 0), held(V, facets, SHAFT)]
     laws = {1: dm.Elastic(20e3, 0.0), 2: dm.Elastic(200e3, 0.3)}
     loads = ufl.inner(traction, ufl.TestFunction(V)) * ds(ENDS)
     problem = create_problem(V, [contact], bcs, laws, cells, loads=loads)
 
     def on_time(time):
-        traction.value[1] = -time * pull / THICK
+        traction.value[1] = -time * PULL / THICK
 
     for step in dm.load_steps(problem, [0.5, 1.0], on_time=on_time, progress=False):
         assert len(step.parts) == 1
     nodes = contact.gather(problem.u)
     x, y = nodes["X"].T[:2]
     sign = 1.0 if slave == BELT_SIDE else -1.0
-    assert sign * contact.force == pytest.approx([0.0, 2 * pull], abs=2e-3 * pull)
+    assert sign * contact.force == pytest.approx([0.0, 2 * PULL], abs=2e-3 * PULL)
     wrapped = (nodes["status"] > 0) & (y > 0.3 * RADIUS)
     assert (nodes["status"][wrapped] == 2.0).sum() >= wrapped.sum() - 1
     angle = np.arctan2(y, np.abs(x))[wrapped]
-    euler = pull / RADIUS * np.exp(-mu * angle)
+    euler = PULL / RADIUS * np.exp(-MU * angle)
     off = np.abs(nodes["pressure"][wrapped] / euler - 1.0)
     assert off.max() < 0.08 and np.median(off) < 0.02

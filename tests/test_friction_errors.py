@@ -44,12 +44,12 @@ def at_points(V):
 
 JUMPS = ("not one value at every node", "interpolate")
 WRONG = [
-    *((lambda V, v=v: v, (repr(v), ">= 0")) for v in (-0.1, np.nan)),
-    *((lambda V, v=v: v, (repr(v), "number")) for v in (True, "0.3", 0.3j, [0.3])),
-    *((constant(v), ("scalar",)) for v in ((0.1, 0.2), 0.3j)),
+    (lambda V: np.nan, ("nan", ">= 0")),
+    (lambda V: [0.3], ("[0.3]", "number")),
+    (constant((0.1, 0.2)), ("scalar",)),
     (lambda V: fem.Function(V), ("shape (2,)", "scalar")),
     (lambda V: fem.Function(V).sub(0), ("collapse()",)),
-    *((function(*e), JUMPS) for e in (("DG", 0), ("Bubble", 3))),
+    (function("DG", 0), JUMPS),
     (at_points, JUMPS),
 ]
 
@@ -79,9 +79,8 @@ def test_a_limit_is_given_once(case, name):
 
 @LAWS
 def test_limits_on_another_mesh(case, name):
-    """Numbers are the same on all meshes; other ranks do not wait for one that is wrong."""
+    """Other ranks do not wait for one that is wrong."""
     other, _, _ = two_blocks(COMM)
-    case.again(**{name: fem.Constant(other, 0.3)}).solve(0.0, -0.01)
     value, own = (
         fem.Function(fem.functionspace(mesh, ("Lagrange", 1)))
         for mesh in (other, case.problem.V.mesh)
@@ -109,8 +108,9 @@ def go_bad(value, bad):
 
 @pytest.mark.mpi
 @LAWS
-@pytest.mark.parametrize("make", [constant(0.3), function("Lagrange", 1)])
-@pytest.mark.parametrize("bad", [-0.2, np.nan])
+@pytest.mark.parametrize(
+    ("make", "bad"), [(constant(0.3), -0.2), (function("Lagrange", 1), np.nan)]
+)
 def test_a_limit_that_goes_bad_between_steps(case, name, make, bad):
     """The step is refused as a whole, on all ranks; with a good value it goes on."""
     value = make(case.problem.V)
@@ -143,10 +143,6 @@ def test_a_zero_of_another_degree_is_no_negative_limit(monkeypatch):
         law.values(at)
 
 
-def test_results_of_friction_before_a_step(case):
-    """The message says what to do."""
-    fresh = case.again(friction=0.3)
-    with pytest.raises(AttributeError, match="newton"):
-        fresh.contact.gather(fresh.problem.u)
+def test_results_without_friction(case):
     with pytest.raises(AttributeError, match="friction="):
         case.contact.status  # noqa: B018

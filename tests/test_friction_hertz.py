@@ -146,15 +146,6 @@ def check(rows, h, traction):
 
 
 @pytest.mark.slow
-def test_a_ball_pushed_sideways():
-    """Three facets in the radius of the contact."""
-    rows = list(pushed_ball(0.25, "block", (0.003, 0.006)))
-    assert rows[-1]["state"].force > 0.85 * MU * rows[-1]["state"].contact.force
-    check(rows, 0.25, 0.05)
-    assert rows[-1]["energy"] == pytest.approx(rows[-1]["state"].dissipation, rel=0.2)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("slave", ["block", pytest.param("ball", marks=pytest.mark.nightly)])
 def test_a_ball_pushed_to_and_fro(slave):
     """Six facets in the radius: tractions and energy of a closed loop."""

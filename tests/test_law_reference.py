@@ -121,28 +121,3 @@ def test_one_step_and_quadratic_tail(run):
     assert len(tail) >= 2
     # The last change is the error of the iterate before; the constant is not 1 for a kinked law.
     assert tail[-1] < 100 * tail[-2] ** 1.7
-
-
-# Which elements lock: the limit of the work is extrapolated (Aitken) from meshes of first-order
-# triangles up to 9922 unknowns, 88.79, and of second-order ones up to 39042, 88.71.
-LIMIT = 88.71  # N mm per mm
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("element", "degree", "volumetric", "allowed"),
-    [
-        ("P1", 1, "full", 0.037),
-        ("Q1", 1, "full", 0.02),
-        pytest.param("Q1", 1, "reduced", 0.006, marks=pytest.mark.slow),
-        ("P1", 2, "full", 0.006),
-        pytest.param("Q1", 2, "full", 0.006, marks=pytest.mark.slow),
-    ],
-)
-def test_error_at_equal_unknowns(element, degree, volumetric, allowed):
-    """All are too stiff; those that do not lock have a sixth of the error of triangles."""
-    domain = plate.create_plate(COMM, element, 3 - degree)
-    solid = solid_on(domain, LAW, degree=degree, volumetric=volumetric)
-    assert 2 * solid.V.dofmap.index_map.size_global == 2562
-    create_driver(solid)(1.0)
-    assert 0.85 * allowed < 1.0 - work(solid.u) / LIMIT < allowed

@@ -14,7 +14,6 @@ from dolfinx_mortar.qp import (
     LinearSolver,
     check_options,
 )
-from dolfinx_mortar.qp.preconditioner import Renewal
 
 COMM = MPI.COMM_WORLD
 RTOL = 1e-11
@@ -73,6 +72,15 @@ def test_held_unknowns_keep_their_values(qp):
 
 
 @pytest.mark.mpi
+def test_forces_whose_squares_underflow_are_zero(qp):
+    """Conjugate gradients cannot reduce them: three ranks left 1e-161 of no load at all."""
+    linear = LinearSolver(COMM, prefix="tiny_", options={"ksp_type": "cg", "pc_type": "jacobi"})
+    linear.set_matrix(qp.A)
+    linear.solve(0.0 * qp.b, 1e-158 * qp.b, none(), atol=0.0)
+    assert linear.counts.iterations == 0
+
+
+@pytest.mark.mpi
 def test_a_slightly_changed_matrix_needs_no_factorisation(qp):
     linear = LinearSolver(COMM, prefix="slight_")
     solved(linear, qp, none())
@@ -91,18 +99,21 @@ def test_a_slightly_changed_matrix_needs_no_factorisation(qp):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "method"),
     [
-        {"ksp_type": "preonly"},
-        {"pc_type": "gamg"},
-        {"ksp_type": "minres", "pc_type": "jacobi"},
+        ({}, "cg + cholesky (mumps)"),
+        ({"ksp_type": "preonly"}, "preonly"),
+        ({"pc_type": "gamg"}, "gamg"),
+        ({"ksp_type": "minres", "pc_type": "jacobi"}, "minres + jacobi"),
     ],
 )
-def test_other_methods(qp, options):
+def test_other_methods(qp, options, method):
+    """Their description outlives the matrix: a report may ask after a search."""
     linear = LinearSolver(COMM, prefix="other_", options=options)
+    assert linear.description == "not used yet"
     assert solved(linear, qp, qp.bounded) <= RTOL
-    for value in options.values():
-        assert value in linear.description
+    linear.clear()
+    assert method in linear.description
 
 
 def test_options_of_the_user_win_and_ours_leave_no_trace(qp, database):
@@ -115,23 +126,21 @@ def test_options_of_the_user_win_and_ours_leave_no_trace(qp, database):
 
 
 @pytest.mark.mpi
-def test_too_small_a_workspace_is_enlarged():
-    qp = membrane(60)
+@pytest.mark.parametrize("kept", [False, True])
+def test_too_small_a_workspace_is_enlarged(database, kept):
+    """But not one that the database keeps small: that is an error."""
+    qp, options = membrane(60), {"mat_mumps_icntl_14": -70}
     qp.b.set(1.0)
-    linear = LinearSolver(COMM, prefix="small_", options={"mat_mumps_icntl_14": -70})
-    assert solved(linear, qp, none()) <= RTOL
-    assert linear.setup.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
-
-
-@pytest.mark.mpi
-def test_a_workspace_that_the_database_keeps_small_is_an_error(database):
-    qp = membrane(60)
-    qp.b.set(1.0)
-    database["kept_mat_mumps_icntl_14"] = -70
-    linear = LinearSolver(COMM, prefix="kept_")
-    with pytest.raises(LinearSolveFailed, match="database has -kept_mat_mumps_icntl_14"):
-        solved(linear, qp, none())
-    assert linear.counts.factorisations == 1
+    if kept:
+        database["small_mat_mumps_icntl_14"] = -70
+    linear = LinearSolver(COMM, prefix="small_", options={} if kept else options)
+    if kept:
+        with pytest.raises(LinearSolveFailed, match="database has -small_mat_mumps_icntl_14"):
+            solved(linear, qp, none())
+        assert linear.counts.factorisations == 1
+    else:
+        assert solved(linear, qp, none()) <= RTOL
+        assert linear.setup.ksp.getPC().getFactorMatrix().getMumpsIcntl(14) > 0
 
 
 @pytest.mark.mpi
@@ -174,15 +183,6 @@ def test_multigrid_after_a_set_up_that_failed(indefinite):
     linear.factorise(none())
 
 
-@pytest.mark.mpi
-def test_an_iteration_that_fails_is_told_of_direct_solvers():
-    qp = membrane(12)
-    qp.b.set(1.0)
-    linear = LinearSolver(COMM, prefix="poor_", options={"pc_type": "none", "ksp_max_it": 2})
-    with pytest.raises(LinearSolveFailed, match=r"iterations.*choose a factorisation"):
-        solved(linear, qp, none())
-
-
 # -- options
 
 
@@ -194,15 +194,15 @@ def test_an_iteration_that_fails_is_told_of_direct_solvers():
         ({"pc_type": "no_such_type"}, "no_such_type"),
         ({"pc_factor_mat_solver_type": "no_such_package"}, "no_such_package"),
         ({"ksp_rtol": "small"}, "small"),
-        ({"ksp_max_it": [3]}, r"value \[3\] of 'ksp_max_it'"),
-        ({3: "cg"}, "key 3"),
+        ({"ksp_max_it": [3]}, r"'ksp_max_it': \[3\]"),
+        ({3: "cg"}, "3: 'cg'"),
         ({"-pc_type": "lu"}, "no dash"),
-        ("pc_type lu", "str, not a dictionary"),
+        ("pc_type lu", "give a dictionary"),
     ],
 )
 def test_options_that_cannot_work_are_refused_at_once(options, message, database):
     before = database.getAll()
-    with pytest.raises(ValueError, match=f"petsc_options: .*{message}"):
+    with pytest.raises(ValueError, match=f"petsc_options.*{message}"):
         LinearSolver(COMM, prefix="refused_", options=options)
     assert database.getAll() == before
 
@@ -210,7 +210,7 @@ def test_options_that_cannot_work_are_refused_at_once(options, message, database
 @pytest.mark.mpi
 def test_options_wrong_on_one_rank_are_refused_on_all():
     last = COMM.rank == COMM.size - 1
-    with pytest.raises(ValueError, match="no_such_type" if last else "another rank"):
+    with pytest.raises(ValueError, match="no_such_type" if last else "on rank"):
         check_options(COMM, "one_", {"pc_type": "no_such_type" if last else "lu"})
 
 
@@ -223,6 +223,7 @@ def test_options_that_nobody_asks_for_are_named(qp, method):
     assert linear.options.unread() == ["ksp_tipe", "mat_mumps_icnt_14"]
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize("typed", [True, False])
 def test_the_limit_of_iterations_is_an_option(qp, database, typed):
     """Of the caller, or in the database, which wins."""
@@ -230,7 +231,7 @@ def test_the_limit_of_iterations_is_an_option(qp, database, typed):
     if not typed:
         database["limit_ksp_max_it"] = 5
     linear = LinearSolver(COMM, prefix="limit_", options=options)
-    with pytest.raises(LinearSolveFailed, match="the residual is"):
+    with pytest.raises(LinearSolveFailed, match=r"the residual is.*choose a factorisation"):
         solved(linear, qp, none())
     assert linear.setup.max_iterations == 5 and linear.counts.iterations <= 10
     assert linear.options.unread() == []
@@ -247,34 +248,3 @@ def test_options_of_methods_that_are_used_are_not_named(qp):
     for linear in (direct, multigrid):
         solved(linear, qp, none())
         assert linear.options.unread() == []
-
-
-# -- when to renew
-
-
-def test_multigrid_is_renewed_for_the_sum_of_what_an_old_one_has_cost():
-    """A new one gains a digit with each iteration, the old one half a digit."""
-    renewal = Renewal(6, direct=False)
-    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
-    for solves in (1, 2, 3):
-        assert not renewal.is_far(1000)
-        renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
-        assert renewal.excess == pytest.approx(2.5 * solves)
-    assert renewal.is_far(0)
-    renewal.learn([1.0, 1e-1, 1e-2], stale=False)
-    assert not renewal.is_far(0)
-    renewal.learn([1.0], stale=False)  # nothing to solve tells nothing
-    renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
-    assert renewal.excess == pytest.approx(2.5)
-
-
-# -- what is left afterwards
-
-
-def test_a_description_outlives_its_matrix(qp):
-    """A report may ask after a new search has cleared the solver."""
-    linear = LinearSolver(COMM, prefix="described_")
-    assert linear.description == "not used yet"
-    solved(linear, qp, none())
-    linear.clear()
-    assert linear.description == "cg + cholesky (mumps)"

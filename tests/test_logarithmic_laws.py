@@ -2,6 +2,7 @@
 """Laws of a small strain at finite strain: potential, tangent, invariance, solutions."""
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,14 +12,12 @@ from scipy.linalg import expm
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import create_law
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pointwise_laws import OneSided
 from tests.cases.solid import create_displacement, create_domain, create_tags, hold
 from tests.cases.two_bodies import create_problem
-from tests.choice import quick
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
 Y = np.sqrt(2 / 3) * SIGMA_Y
@@ -47,10 +46,10 @@ LAWS = {
 }
 MULTIPLICATIVE = {"hardening", "voce", "cone", "turning arrays"}
 
-COMPILED: dict[Any, LogarithmicLaw] = {}
+COMPILED = {}
 
 
-def compiled(material: Any, dimension: int = 3) -> LogarithmicLaw:
+def compiled(material, dimension=3):
     """Return a law as function of F, compiled once for all parameters, which are arguments."""
     law = create_law("law", material)
     key = type(material), law.isotropic, *law.state, dimension
@@ -60,7 +59,7 @@ def compiled(material: Any, dimension: int = 3) -> LogarithmicLaw:
     return COMPILED[key]
 
 
-def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
+def given(material, q, state, dimension=3):
     """Return a compiled law, state and parameters of q points, virgin if no state is given."""
     law, fields = compiled(material, dimension), dataclasses.fields(material)
     if state is None:
@@ -68,22 +67,22 @@ def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
     return law, state, {field.name: np.full(q, getattr(material, field.name)) for field in fields}
 
 
-def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3) -> Any:
+def respond(material, F, state=None, dimension=3):
     law, state, p = given(material, len(F), state, dimension)
     return law.values(F, state, p)
 
 
-def start(material: Any, q: int, state: Any = None, dimension: int = 3) -> Any:
+def start(material, q, state=None, dimension=3):
     law, state, p = given(material, q, state, dimension)
     return law, law.start(q, state, p)
 
 
-def rotations(rng: np.random.Generator, q: int) -> np.ndarray:
+def rotations(rng, q):
     Q = np.linalg.qr(rng.standard_normal((q, 3, 3)))[0]
     return Q * np.sign(np.linalg.det(Q))[:, None, None]
 
 
-def stretched(gap: float | None, J: float, seed: int = 1, q: int = 4) -> np.ndarray:
+def stretched(gap, J, seed=1, q=4):
     """Return random F (q, 3, 3) with det F = J, and stretches that differ by a gap, or by 2."""
     rng = np.random.default_rng(seed)
     ratios = np.array([1.5, 1 / 1.5, 1.0] if gap is None else [1.0, 1 + gap, 1 + 0.3 * gap])
@@ -92,11 +91,11 @@ def stretched(gap: float | None, J: float, seed: int = 1, q: int = 4) -> np.ndar
     return rotations(rng, q) @ diagonal @ rotations(rng, q)
 
 
-def flowed(material: Any, q: int = 4) -> Any:
+def flowed(material, q=4):
     return respond(material, stretched(0.2, 1.0, seed=2, q=q)).state
 
 
-def differences(material: Any, F: np.ndarray, state: Any, h: float) -> tuple[Any, Any]:
+def differences(material, F, state, h):
     """Return d psi / dF and dP / dF by differences of sixth order."""
     P, A = np.zeros_like(F), np.zeros((*F.shape, 3, 3))
     for i, j in np.ndindex(3, 3):
@@ -156,28 +155,13 @@ def test_tiny_strains_keep_their_digits(name):
     assert np.abs(P.reshape(2, 3, 3) - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize("name", quick(["hardening", "mixed", "wood"], "hardening", "mixed"))
-def test_the_plane_is_a_section_of_space(name):
-    material = dataclasses.replace(WOOD, pitch=0.0, roll=0.0) if name == "wood" else LAWS[name]
-    F = np.tile(IDENTITY, (4, 1, 1))
-    F[:, :2, :2] += 0.3 * np.random.default_rng(9).standard_normal((4, 2, 2))
-    F[:, 2, 2] = [1.0, 1.1, 0.9, 1.0]
-    one, other = respond(material, F), respond(material, F, dimension=2)
-    assert np.abs(one.stress - other.stress).max() < 1e-12 * np.abs(one.stress).max()
-    inside = np.zeros((3, 3), dtype=bool)
-    inside[:2, :2] = inside[2, 2] = True
-    part = one.tangent * inside[:, :, None, None] * inside
-    assert np.abs(part - other.tangent).max() < 1e-12 * np.abs(one.tangent).max()
-
-
-@pytest.mark.parametrize("name", ["hardening", "mixed"])
-def test_where_the_body_is_turned_inside_out_the_energy_is_infinite(name):
-    found = respond(LAWS[name], np.array([np.diag([1.0, 1.0, -0.1]), IDENTITY]))
+def test_where_the_body_is_turned_inside_out_the_energy_is_infinite():
+    found = respond(MIXED, np.array([np.diag([1.0, 1.0, -0.1]), IDENTITY]))
     assert found.energy[0] == np.inf and np.isfinite(found.energy[1])
     assert found.undefined.tolist() == [True, False]
 
 
-def sheared(material: Any, end: float, step: float) -> dict[float, float]:
+def sheared(material, end, step):
     """Return Kirchhoff's shear stress in simple shear at multiples of a half, by gamma."""
     state, found = None, {}
     for i in range(1, round(end / step) + 1):
@@ -187,13 +171,6 @@ def sheared(material: Any, end: float, step: float) -> dict[float, float]:
         tau = response.stress[0] @ F[0].T
         found[round(i * step, 9)] = tau[0, 1]
     return found
-
-
-def test_perfect_plasticity_keeps_its_stress_in_shear():
-    """sigma_y / sqrt(3) to gamma = 10; volume and spin do not matter."""
-    tau = sheared(PERFECT, 10.0, 0.05)
-    late = [value for gamma, value in tau.items() if gamma > 0.5]
-    assert np.abs(np.array(late) / (SIGMA_Y / np.sqrt(3)) - 1).max() < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -206,27 +183,15 @@ def test_perfect_plasticity_keeps_its_stress_in_shear():
         ),
         # a back stress too small to matter
         (dm.VonMises(E, NU, Y, 1e-12), {0.5: 115.2, 1.0: 112.4, 2.0: 96, 5.0: 50}, 0.5),
+        # sigma_y / sqrt(3): volume and spin do not matter
+        (PERFECT, dict.fromkeys((0.5, 1.0, 5.0), SIGMA_Y / np.sqrt(3)), 0.1),
     ],
-    ids=["hardening", "additive"],
+    ids=["hardening", "additive", "perfect"],
 )
-def test_shear_by_another_program(law, figures, tolerance):
+def test_simple_shear(law, figures, tolerance):
+    """Numbers of another program, and those of perfect plasticity."""
     tau = sheared(law, 5.0, 0.01)
     assert {g: tau[g] for g in figures} == pytest.approx(figures, abs=tolerance)
-
-
-def test_lost_stress_is_told():
-    """Whatever pressure is added by a change of volume."""
-    law, state = dm.VonMises(E, NU, Y, 1e-12), None
-    for gamma in np.arange(0.02, 1.01, 0.02):
-        F = 1.1 * (IDENTITY + gamma * np.array([[[0.0, 1, 0], [0, 0, 0], [0, 0, 0]]]))
-        lost = compiled(law).stress_lost(start(law, 1, state)[1], F - IDENTITY)[0]
-        found = respond(law, F, state)
-        tau = found.stress[0] @ F[0].T
-        deviator = tau - np.trace(tau) / 3 * IDENTITY
-        state = found.state
-        if gamma > 0.1:  # it flows, so that the law's own stress has the norm Y
-            assert lost == pytest.approx(1 - np.linalg.norm(deviator) / Y, abs=1e-12)
-    assert lost == pytest.approx(0.0200, abs=5e-4)
 
 
 @dataclass
@@ -239,7 +204,7 @@ class Bar:
     state: Any = None
     Q: Any = dataclasses.field(default_factory=lambda: IDENTITY)
 
-    def stretch(self, length: float, poisson: float = 0.5) -> float:
+    def stretch(self, length, poisson=0.5):
         """Return Kirchhoff's stress along the bar; the ratio of the strains is a first guess."""
         self.width *= (length / self.length) ** -poisson
         self.length = length
@@ -254,14 +219,13 @@ class Bar:
         return stress[0, 0] * length
 
     @property
-    def F(self) -> np.ndarray:
+    def F(self):
         return np.diag([self.length, self.width, self.width])
 
 
 H_BAR, SATURATED, RATE = 900.0, 150.0, 12.0
 HALVES = np.sqrt(2 / 3) * np.array([SATURATED, RATE])
 BARS = {
-    "isotropic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=1.0),
     "mixed": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR, isotropic=0.5),
     "kinematic": dm.VonMises.from_uniaxial(E, NU, SIGMA_Y, H_BAR),
     "voce": dm.VonMisesVoce(E, NU, Y, 0.0, 2 / 3 * H_BAR, *HALVES),
@@ -307,16 +271,14 @@ def test_plane_stress_out_of_the_apex():
     assert abs(found.stress[0, 2, 2]) < 1e-6 * found.stress[0, 0, 0]
 
 
-@pytest.mark.parametrize("name", ["isotropic", "mixed", "kinematic"])
-def test_a_stretched_bar_that_is_turned_and_shortened(name):
+def test_a_stretched_bar_that_is_turned_and_shortened():
     """By 90 degrees: the back stress turns along, and yields where a bar that stays does."""
-    bar = Bar(BARS[name])
+    bar = Bar(BARS["mixed"])
     for stretch in np.linspace(1.02, 1.3, 15):
         first = bar.stretch(stretch)
     bar.Q = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     assert bar.stretch(1.3) == pytest.approx(first, rel=1e-11)
-    p, share = np.log(1.3) - first / E, {"isotropic": 1.0, "mixed": 0.5, "kinematic": 0.0}[name]
-    lowest = (1 - 2 * share) * H_BAR * p - SIGMA_Y  # back stress less the radius
+    lowest = -SIGMA_Y  # half of the hardening moves the range, half of it widens it
     for stretch in np.linspace(1.299, 1.2, 20):
         elastic = first + E * np.log(stretch / 1.3)
         flow = max(lowest - elastic, 0.0) / (E + H_BAR)
@@ -348,7 +310,10 @@ def test_lost_stress_is_noted():
 
         problem = create_problem(u, (), bcs, law, strain="finite")
         *_, last = dm.load_steps(problem, np.linspace(0.05, 1, 20), on_time=on_time)
-        assert any("logarithmic strain space" in note for note in last.report.notes) == noted
+        told = re.findall(r"logarithmic strain space.* up to (\d+) %", str(last.report.notes))
+        assert len(told) == noted
+        lost = 100.0 * (1.0 - problem.solid.max("von_mises") / SIGMA_Y)
+        assert lost == pytest.approx(float(told[0]) if noted else 0.0, abs=0.6)
         tau = problem.solid.max("stress_xy")
         assert tau == pytest.approx(SIGMA_Y / np.sqrt(3), rel=0.06 if noted else 1e-3)
 
@@ -366,21 +331,3 @@ def test_one_class_may_run_in_both_forms():
     left = tags.values[: len(both)] == 1
     assert np.array_equal(both[left], one[left]) and np.array_equal(both[~left], other[~left])
     assert not np.allclose(one, other, rtol=1e-2)
-
-
-def test_divided_differences():
-    """Against differences in long double, on both sides of the ends of the series."""
-    rng = np.random.default_rng(11)
-    for size in (1e-3, 0.05, 0.1, 0.3, 2.0):
-        x, y, z = np.sort(rng.uniform(0, size, 3)) + rng.uniform(-0.5, 2)
-        if min(y - x, z - y) < size / 20:
-            continue
-        a, b, c = (1 + np.longdouble(v) for v in (x, y, z))
-        f, g = (np.log(p / q) / (2 * (p - q)) for p, q in ((a, b), (b, c)))
-        pairs = ((x, y), (y, z), (z, x))
-        found = [logarithms.first_difference(*v, *np.log1p(v) / 2) for v in pairs]
-        assert found[:2] == pytest.approx([float(f), float(g)], rel=1e-13)
-        expected = (f - g) / (a - c), (1 / (2 * a) - f) / (a - b), (f - 1 / (2 * b)) / (a - b)
-        second = logarithms.second_difference(x, y, z, *found)
-        second = second, *logarithms.confluent_differences(x, y, found[0])
-        assert second == pytest.approx(np.array(expected, dtype=float), rel=2e-12)

@@ -14,8 +14,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
+from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.law_check import law_at_point
+from dolfinx_mortar.materials.plasticity import wright_omega
 from dolfinx_mortar.materials.protocol import create_law
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pressed_blocks import rejected
@@ -24,7 +27,6 @@ from tests.cases.solid import create_displacement, create_domain
 from tests.cases.user_laws import Arrays
 
 E, NU, Y = 206_900.0, 0.29, 450 * math.sqrt(2 / 3)
-MU, LAMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
 STEEL, CONE = dm.VonMises(E, NU, Y, 10_000.0), dm.DruckerPrager(1000.0, 0.25, 1.0, 0.6)
 LAWS = {
     "kinematic": STEEL,
@@ -38,7 +40,6 @@ POINT, AT_CONE = MaterialPoint(STEEL), MaterialPoint(CONE)
 POINTS = {"kinematic": POINT, "cone": AT_CONE}
 
 seeds = st.integers(0, 2**32 - 1)
-magnitudes = st.floats(-12.0, 0.5).map(lambda power: 10.0**power)  # of strains
 positive = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
 
 
@@ -80,30 +81,11 @@ def symmetric(rng):
     return (tensor + tensor.T) / 2
 
 
-@settings(max_examples=60)
-@given(seeds, magnitudes, magnitudes)
-def test_stress_from_energy_is_radial_return(seed, size, plastic):
-    rng = np.random.default_rng(seed)
-    strain, ep = size * symmetric(rng), plastic * deviator(symmetric(rng))
-    POINT.set_plastic_strain(ep)
-    shifted = 2 * MU * (deviator(strain) - ep) - STEEL.a * ep
-    norm = np.linalg.norm(shifted)
-    flow = max(norm - Y, 0.0) / (2 * MU + STEEL.a) * shifted / (norm or 1.0)
-    expected = LAMBDA * np.trace(strain) * IDENTITY + 2 * MU * (strain - ep - flow)
-    scale = E * (size + plastic) + Y * 1e-9
-    assert np.abs(POINT.stress(strain) - expected).max() < 1e-12 * scale + 2e-10 * Y
-    tolerance = 1e-12 * (size + plastic) + 2e-10 * Y / MU
-    assert np.abs(POINT.commit() - ep - flow).max() < tolerance
-
-
 @pytest.mark.parametrize("units", [1e-9, 1.0, 1e9])
 def test_units_of_stress(units, rng):
     """A virgin point without strain is defined, and flow is the same."""
     p = MaterialPoint(dm.VonMises(E * units, NU, Y * units, STEEL.a * units))
     assert not p.stress(np.zeros((3, 3))).any() and not p.commit().any()
-    K = p.solid.create_matrix()
-    p.solid.assemble_tangent(K)
-    assert np.isfinite(K.norm())
     POINT.reset()
     for _ in range(3):
         strain = 5e-3 * symmetric(rng)
@@ -190,6 +172,15 @@ def test_uniaxial_saturation():
     )
     for plastic in (1e-4, 5e-3, 0.03, 0.2):
         pull(p, 450.0 + 1000.0 * plastic + 200.0 * (1 - math.exp(-30.0 * plastic)), plastic)
+
+
+def test_omega():
+    """Wright's function, omega + ln omega = y: to round-off below y = -9, else to 4e-5 omega."""
+    y, at = constants(1), np.array([-1e3, -700.0, -80.0, -20.0, -9.0, -2.0, -0.6, 0.0, 1.0, 30.0])
+    omega = tabulate(compile_kernel(ufl.as_vector([wright_omega(y[0])])), at[:, None])[:, 0]
+    error = np.abs(omega[1:] + np.log(omega[1:]) - at[1:])
+    assert omega[0] == 0.0 and (error[:4] < 1e-11).all()
+    assert (error < 4e-5 * (1.0 + omega[1:])).all()
 
 
 def test_without_isotropic_hardening_there_is_no_k():
@@ -328,9 +319,10 @@ def test_arrays_are_not_called_inside_out():
 VOCE = dm.VonMisesVoce(1.0, 0.3, 1.0, 0.0, 0.0, 0.0, 1.0)
 TIMBER = dm.Orthotropic(**WOOD)
 WRONG = [
-    *((VOCE, {n: v}, f"VonMisesVoce: {n} is ") for n in ("E", "Y", "b") for v in (0.0, math.nan)),
-    *((VOCE, {n: v}, f"VonMisesVoce: {n} is ") for n in "aHQ" for v in (-1e-300, math.inf)),
-    *((STEEL, {"nu": v}, "VonMises: nu is ") for v in (0.5, -1.0, math.nan)),
+    *((VOCE, {n: 0.0}, f"VonMisesVoce: {n} is ") for n in ("E", "Y", "b")),
+    *((VOCE, {n: -1e-300}, f"VonMisesVoce: {n} is ") for n in "aHQ"),
+    (VOCE, {"Y": math.nan}, "VonMisesVoce: Y is "),
+    (STEEL, {"nu": 0.5}, "VonMises: nu is "),
     (STEEL, {"H": -1.0}, "VonMises: H is "),
     *((dm.Elastic(1.0, 0.3), {n: v}, f"Elastic: {n} is ") for n, v in (("E", -1.0), ("nu", 0.5))),
     *((CONE, {n: 0.0}, f"DruckerPrager: {n} is ") for n in ("E", "Y", "beta")),
@@ -371,6 +363,6 @@ def test_wrong_parameters(law, change, said):
         ),
     ],
 )
-def test_wrong_tests_of_materials(make, said):
+def test_wrong_arguments_of_constructors(make, said):
     with rejected(said):
         make()

@@ -11,6 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx_mortar.algebra.parallel import maximum, norm
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.contacts import (
     Contacts,
     Scales,
@@ -18,7 +19,6 @@ from dolfinx_mortar.problem.contacts import (
     measure,
 )
 from dolfinx_mortar.problem.linearisation import find_balance, linearise
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
 from tests.cases.friction import create as create_pushed
 from tests.cases.hertz import ELASTIC, create_case

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Termination of Newton's method: without contact, at round-off, with moving geometry."""
+"""Newton's method: its end without contact, at round-off, with moving geometry; step lengths."""
 
 from dataclasses import replace
 
@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.problem.contacts import Contacts, Scales, measure
-from dolfinx_mortar.problem.linearisation import (
-    find_balance,
-    linearise,
-)
+from dolfinx_mortar.problem.linearisation import find_balance, linearise, to_displacement
+from dolfinx_mortar.steps import line_search
+from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.subproblem import Solution
+from dolfinx_mortar.terms.sum import Terms
 from tests.cases.ball import create_problem
-from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case, paper
-from tests.cases.meshes import BOTTOM, TOP
-from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD
 
@@ -65,33 +66,7 @@ def test_rigid_travel_ends_at_once(geometry):
     assert np.abs(own - [0.0, -0.9]).max(initial=0.0) < 1e-12
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("gap", [0.0, 0.01])
-def test_a_load_that_vanishes(gap):
-    """A block rests on another one by contact alone; at zero load nothing moves."""
-    case = PressedBlocks(gap=gap, n_lower=(6, 3), n_upper=(8, 4))
-    q, contact = fem.Constant(case.mesh, default_scalar_type(0.0)), case.contact()
-    pull = case.pull((0.0, -1.0))
-    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
-    problem, forces = case.problem([contact], bcs=bcs, loads=q * pull), []
-    for step in dm.load_steps(problem, [0.0, 0.5, 1.0, 0.0], ramp={q: [(0.0, 0.0), (1.0, 5.0)]}):
-        assert len(step.parts) == 1
-        assert step.report.newton_iterations <= 2 or step.time > 0.0
-        forces.append(contact.force[1])
-    assert forces == pytest.approx([0.0, -2.5, -5.0, 0.0], abs=1e-5)
-
-
 # -- the end of a step -----------------------------------------------------------------------------
-
-
-@pytest.mark.mpi
-def test_no_confirming_solve():
-    """A linear problem on frozen surfaces is one QP, whatever it is asked for."""
-    case = paper(ELASTIC, geometry="reference")
-    case.press(0.05)
-    for rtol in (1e-3, 1e-10):
-        case.problem.u.x.array[:] = 0.0
-        assert dm.newton(case.problem, rtol=rtol).newton_iterations == 1
 
 
 def judged(problem, contacts, data, lin, *, support=0.0):
@@ -164,19 +139,6 @@ def test_a_drag_beyond_the_search_margin(slave):
     assert case.problem.system.searches > 1
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["block", "disc"])
-def test_moments_balance_where_the_forces_act(slave):
-    """Contact forces act at X + u: dragged by 1 mm, their moments about the origin balance."""
-    case = paper(ELASTIC, slave=slave)
-    case.move(0.0, 0.2)
-    certificate = case.move(1.0, 0.2, rtol=1e-9).certificate
-    assert certificate.moment_balance < 1e-4 and certificate.force_balance < 1e-12
-    # the disc presses near x = 1, where it has been dragged to
-    x = case.contact.moment[2] / case.contact.force[1]
-    assert x == pytest.approx(1.0, abs=0.1)
-
-
 def test_frozen_geometry_that_slides_is_noted():
     """Beyond a facet the pairing of the start is another problem; within one it is fine."""
     case = paper(ELASTIC, geometry="reference")
@@ -186,21 +148,6 @@ def test_frozen_geometry_that_slides_is_noted():
 
 
 # -- a potential of the displacement ---------------------------------------------------------------
-
-
-@pytest.mark.mpi
-def test_a_body_on_springs():
-    """A block held by a bed of springs alone: p/k plus the compression, in one linear solve."""
-    b = Blocks(PILE[:1])
-    ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
-    k, p = 1000.0, 5.0
-    springs = 0.5 * k * b.u[1] ** 2 * ds(10 + BELOW)
-    bcs = [b.fix(1, WEST, component=0), b.fix(1, EAST, component=0)]
-    law = dm.Elastic(1000.0, 0.0)
-    problem = b.problem([], bcs, law=law, loads=b.traction(1, ABOVE, (0.0, -p)), potential=springs)
-    assert dm.newton(problem).newton_iterations == 1
-    y = b.V.tabulate_dof_coordinates()[:, 1]
-    assert np.abs(b.u.x.array[1::2] + p / k + p / 1000.0 * y).max(initial=0.0) < 1e-12
 
 
 def test_ball_against_block_in_few_iterations():
@@ -213,3 +160,87 @@ def test_ball_against_block_in_few_iterations():
     ):
         problem, _ = create_problem(depth=0.05, law=law, geometry=geometry)
         assert dm.newton(problem).newton_iterations <= most
+
+
+# -- the length of a step --------------------------------------------------------------------------
+
+
+def test_a_step_too_long_is_halved():
+    """One step far into plasticity overshoots, and the energies tell."""
+    case = paper(slave="disc", geometry="reference")
+    case.press(0.8)
+    lengths = [i.step_length for i in dm.newton(case.problem).iterations]
+    assert set(lengths) == {1.0, 0.5}
+
+
+def test_energy_is_free_to_rise_where_supports_strain():
+    """A pulled bar: the first step is whole, and searched it would find nothing below zero."""
+    b = Blocks(PILE[:1])
+    pull = b.fix(1, ABOVE, component=1, value=2e-2)
+    report = dm.newton(b.problem([], [b.fix(1, BELOW), pull], law=PLASTIC))
+    assert report.iterations[0].step_length == 1.0
+
+
+def overlapping():
+    """Return a case at equilibrium with half of its overlap left, and supports at rest."""
+    case = paper(ELASTIC, gap=-0.1, geometry="reference")
+    solve_step(case.problem, qp="active-set", rtol=1e-9, max_it=20, overlap=0.05)
+    return case
+
+
+def test_the_merit_needs_its_penalty(monkeypatch):
+    """To close a violated gap the energy must rise; without the penalty no step is accepted."""
+    case = overlapping()
+    half = case.force
+    assert dm.newton(case.problem).converged and case.force > 2.0 * half > 0.0
+    case = overlapping()
+    monkeypatch.setattr(line_search.Path, "excess", lambda self, t: 0.0)
+    with rejected("line search", error=dm.NewtonNotConverged):
+        dm.newton(case.problem)
+
+
+@pytest.mark.serial
+def test_the_slope_is_that_of_the_merit():
+    """Energy and penalty, at the start, against the difference of their values over the step."""
+    problem = overlapping().problem
+    data = problem.begin_step()
+    lin = linearise(problem, find_balance(problem, data))
+    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
+    du = to_displacement(problem.system.transformation, solved.x)
+    multiplier = float(solved.z.max()[1] / lin.balance.bounds.weight.min())
+    path = line_search.create_path(problem, Solution(lin, solved), du, multiplier)
+
+    def merit(t):
+        problem.move(path.start + t * path.du)
+        return problem.terms.energy().value + path.excess(t)
+
+    first = line_search.find_slope(problem, lin, path)
+    assert first == pytest.approx(merit(1.0) - merit(0.0) - 0.5 * du.dot(problem.K * du), rel=1e-6)
+    assert first < 0.0 < -lin.balance.r.dot(du)  # the penalty alone makes it fall
+
+
+def test_a_step_at_round_off_is_not_refused(monkeypatch):
+    """Asked for more than the round-off of energies allows, a step ends; by values it fails."""
+    known = []
+
+    def rounded(terms, *along):
+        energy = find_energy(terms, *along)
+        if known and abs(energy.value - known[-1]) < 64.0 * EPS * energy.terms:
+            energy = replace(energy, value=known[-1] + EPS * energy.terms)
+        known.append(energy.value)
+        return energy
+
+    def walk():
+        case = create("hertz", 0)
+        options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
+        (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
+        return step.report.iterations
+
+    find_energy = Terms.energy
+    monkeypatch.setattr(Terms, "energy", rounded)
+    assert all(i.step_length == 1.0 for i in walk()[-3:])
+    path = line_search.create_path
+    monkeypatch.setattr(line_search, "EPS", 0.0)
+    monkeypatch.setattr(line_search, "create_path", lambda *a: replace(path(*a), noise=0.0))
+    with rejected("line search", error=dm.NewtonNotConverged):
+        walk()

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Every number of the steps and interfaces, halved and doubled: the answer stays the same."""
+"""Every number of laws, steps and interfaces, halved and doubled: the answer stays the same."""
 
 import ast
 import importlib
 import sys
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -15,7 +15,17 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.problem.linearisation import find_balance
-from tests import test_audit, test_finite_strain, test_line_search, test_multigrid
+from tests import (
+    test_analytic,
+    test_audit,
+    test_finite_strain,
+    test_kinematics,
+    test_law_check,
+    test_materials,
+    test_multigrid,
+    test_newton,
+    test_plane_stress,
+)
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case
 from tests.cases.meshes import TOP
@@ -30,6 +40,8 @@ LAYERS = (
     "report",
     "steps",
     "interfaces",
+    "materials",
+    "solid",
 )
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
@@ -39,8 +51,8 @@ NUMBERS = {
     "steps.line_search": ("ARMIJO",),
     "problem.contacts": ("FORCING", "DIGIT"),
 }
-# judged below, in test_smooth_contact, test_stand_off, test_resolution, in
-# test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
+# judged below, in test_smooth_contact, test_resolution, in
+# test_edges, in those of checkpoints, in test_pretension, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
     "interfaces.constraints",  # in test_friction_patch
@@ -49,18 +61,82 @@ OTHERS = {
     "steps.driven_tools",  # in test_driven_tools
     "interfaces.interface",
     "interfaces.tie",
-    "audit.audit",  # in test_stand_off
-    "report.resolution",
+    "audit.audit",  # in test_smooth_contact
+    "report.notes",
     "report.penetration",
-    "interfaces.pretension",
-    "report.small_strain",
-    # in test_exact_tangent and test_failures
+    "report.certificate",
+    # in test_exact_tangent and test_load_steps
     "interfaces.moving_geometry",
     "steps.subproblem",  # in test_finite_strain, too
     "steps.newton",
     "steps.energy_ledger",  # in test_dynamics
-    "persistence.tables",  # in those of checkpoints
+    "persistence.checkpoints",  # in those of checkpoints
+    "materials.logarithmic",  # in test_logarithmic_laws
+    "materials.logarithms",
 }
+TABLES = {"COMPONENTS", "INDEX", "TURNS", "UNTAGGED"}  # how tensors are stored, and a mark
+TABLES |= {"NORMAL", "GRADIENT"}  # the tensor of a strain out of the plane, a layout
+TABLES |= {"HIGHEST_RULE"}  # what is refused, in test_errors
+TABLES |= {"FINITE_RTOL", "STRETCHES", "VOLUMES", "WEIGHTS"}  # in test_law_check
+
+
+def check_laws():
+    """Accept a law and refuse another one."""
+    report = dm.materials.check(test_law_check.VOCE)
+    assert report.changed > 0 and report.tangent_error < 1e-8
+    wrong = test_law_check.von_mises(updated_state=test_law_check.Slips.slow)
+    for law in (test_law_check.DIFFERS, wrong):
+        test_law_check.test_check_finds_what_does_not_fit(law, {}, ())
+
+
+def flow():
+    test_materials.POINTS.pop("any", None)  # compiled with the number
+    test_materials.test_any_hardening_satisfies_the_flow_rule()
+
+
+def in_plane_stress():
+    test_plane_stress._POINTS.clear()
+    test = test_plane_stress.test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane
+    test("arrays", np.random.default_rng(1))
+
+
+def fit():
+    test_analytic.test_fit_leaves_out_the_edge(2.0)
+
+
+# Module and number: absurd factors, each of which fails the test that reads it.
+OF_LAWS = {
+    ("materials.plasticity", "YIELD_TOLERANCE"): ((1e-10, 1e9), flow),
+    ("materials.plasticity", "EPS"): ((0.0, 1e14), check_laws),
+    ("materials.plasticity", "SERIES_BELOW"): ((0.01, 100.0), test_materials.test_omega),
+    ("materials.law_check", "PATHS"): ((0,), check_laws),
+    ("materials.law_check", "RTOL"): ((1e-10, 1e5), check_laws),
+    ("materials.law_check", "LENGTHS"): ((1e-8, 1e9), check_laws),
+    ("materials.law_check", "SIZES"): ((1e-6,), check_laws),
+    ("materials.response", "HALF_OF_DIGITS"): ((1e7,), in_plane_stress),
+    ("materials.response", "LIMIT"): ((0.02,), in_plane_stress),
+    ("solid.kinematics", "ROUND_OFF"): ((0.0, 1e16), test_kinematics.test_a_free_axis_is_refused),
+    ("analytic", "EDGE"): ((1e-6, 11.0), fit),
+    ("analytic", "HALF_OF_DIGITS"): ((1e8,), fit),
+}
+FAILURES = AssertionError, ValueError, dm.NewtonNotConverged, pytest.fail.Exception
+
+
+@pytest.mark.slow
+@pytest.mark.serial
+@pytest.mark.parametrize(("module", "name"), OF_LAWS)
+def test_a_number_of_laws_is_felt(module, name, monkeypatch):
+    where = importlib.import_module(f"dolfinx_mortar.{module}")
+    absurd, test = OF_LAWS[module, name]
+    value = getattr(where, name)
+    for factor in (0.5, 2.0, *absurd):
+        scaled = tuple(np.multiply(factor, value)) if isinstance(value, tuple) else factor * value
+        monkeypatch.setattr(where, name, type(value)(scaled))
+        if factor in absurd:
+            with pytest.raises(FAILURES):
+                test()
+        else:
+            test()
 
 
 def numbers_in(file):
@@ -81,20 +157,24 @@ def numbers_in(file):
 
 
 def test_no_number_is_left_out():
-    for layer in LAYERS:
-        for file in sorted((PACKAGE / layer).glob("*.py")):
-            module = f"{layer}.{file.stem}"
-            if module not in OTHERS:
-                assert set(numbers_in(file)) == set(NUMBERS.get(module, ())), module
+    felt = {f"{module}.{name}" for module, names in NUMBERS.items() for name in names}
+    felt |= {f"{module}.{name}" for module, name in OF_LAWS}
+    files = [
+        PACKAGE / "analytic.py",
+        *(f for room in LAYERS for f in (PACKAGE / room).glob("*.py")),
+    ]
+    for file in files:
+        module = ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
+        if module not in OTHERS:
+            assert {f"{module}.{n}" for n in numbers_in(file) if n not in TABLES} <= felt, module
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """What a user would look at."""
 
     numbers: np.ndarray  # forces, moments, stresses
-    texts: tuple[str, ...]  # what is said of problems that cannot be solved
-    counts: tuple[int, ...]  # what the solution cost
+    texts: tuple  # what is said of problems that cannot be solved
+    counts: tuple  # what the solution cost
 
 
 def observe():
@@ -167,7 +247,7 @@ def usual():
 
 
 ALL = [(module, name) for module, names in NUMBERS.items() for name in names]
-ALL += [("arrays", "ROUND_OFF"), ("arrays", "QUARTER_OF_DIGITS")]
+ALL += [("common.arrays", "ROUND_OFF"), ("common.arrays", "QUARTER_OF_DIGITS")]
 
 
 @pytest.mark.slow
@@ -196,8 +276,8 @@ ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit
 PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
     "SQUEEZED": test_finite_strain.test_cells_that_invert,
-    "ARMIJO": test_line_search.test_a_step_too_long_is_halved,
-    "arrays.ROUND_OFF": closed_round_off,
+    "ARMIJO": test_newton.test_a_step_too_long_is_halved,
+    "common.arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,
 }
 
@@ -207,7 +287,7 @@ def probe(module, name):
     PROBES.get(f"{module}.{name}", PROBES.get(name, lambda: None))()
 
 
-ABSURD = {"ARMIJO": 1e12, "arrays.ROUND_OFF": 1e-12}  # 0 for the others
+ABSURD = {"ARMIJO": 1e12, "common.arrays.ROUND_OFF": 1e-12}  # 0 for the others
 
 
 @pytest.mark.slow
@@ -219,7 +299,7 @@ def test_an_absurd_number_is_felt(module, name, usual, monkeypatch):
     try:
         seen = observe()
         probe(module, name)
-    except (AssertionError, ValueError, dm.NewtonNotConverged, pytest.fail.Exception):
+    except FAILURES:
         return
     same = seen.numbers == pytest.approx(usual.numbers, rel=1e-8, abs=1e-6)
     assert not same or (seen.texts, seen.counts) != (usual.texts, usual.counts)

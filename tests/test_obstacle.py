@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces import obstacle
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import rollers
 from tests.cases.triangles import box
-from tests.tool_case import BALL, BASE, DEPTH, DISC, ELASTIC, NU, TOP, Block, Box, E, R
+from tests.tool_case import BALL, BASE, DEPTH, DISC, NU, TOP, Block, Box, E, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -77,39 +77,19 @@ def test_hertz(shape, kinematics, geometry):
     """Half width and peak pressure of a line and a point contact, nine nodes or more."""
     case = Block(n=40, fine=0.6)
     tool, _, report = case.press(shape, rtol=1e-6, kinematics=kinematics, geometry=geometry)
-    rigid, force = (1e9 * E, 0.0), -float(tool.force[1])
+    own, force = (R, E, NU, 1e9 * E, 0.0), -float(tool.force[1])
     if shape is DISC:
-        exact = dm.analytic.hertz_line(2.0 * force, R, E, NU, *rigid)  # of both halves
-        expected = exact.peak_pressure, exact.half_width
+        exact = dm.analytic.hertz_line(2.0 * force, *own)  # of both halves
     else:
-        exact = dm.analytic.hertz_point(force, R, E, NU, *rigid)
-        expected = exact.peak_pressure, exact.contact_radius
+        exact = dm.analytic.hertz_point(force, *own)
+    width = exact.half_width if shape is DISC else exact.contact_radius
     found = tool.gather(case.u)
     on = found["active"] > 0.0
     peak, size = dm.analytic.fit_pressure(found["x"][on, 0], found["pressure"][on])
-    assert size == pytest.approx(expected[1], rel=0.02) and on.sum() >= 9
-    assert peak == pytest.approx(expected[0], rel=0.015)
+    assert size == pytest.approx(width, rel=0.02) and on.sum() >= 9
+    assert peak == pytest.approx(exact.peak_pressure, rel=0.015)
     assert np.abs(tool.tool_moment).max() < 1e-9  # all normals pass through its centre
     assert report.newton_iterations <= 4
-
-
-def test_as_a_meshed_body_a_million_times_stiffer():
-    """A soft block that bulges under its load, on a stiff one, and on the plane of its top."""
-    found = []
-    for kind, what in (
-        (dm.Contact, {"master": 3}),
-        (dm.Obstacle, {"shape": dm.shapes.Plane([0.0, 0.0], [0.0, 1.0])}),
-    ):
-        case = PressedBlocks(jitter=0.2, n_upper=(7, 3), x_upper=(0.2, 0.8))
-        laws = {1: dm.Elastic(1e6 * E, NU), 2: ELASTIC}
-        contact = kind(case.facets, slave=4, friction=0.1, **what)
-        case.top.value[:] = 0.0, -0.03
-        dm.newton(case.problem([contact], law=laws, geometry="reference"), rtol=1e-9)
-        found.append(contact)
-    meshed, rigid = found
-    assert rigid.force == pytest.approx(meshed.force, rel=1e-5, abs=1e-5 * meshed.force[1])
-    assert rigid.pressure.x.array == pytest.approx(meshed.pressure.x.array, rel=1e-4, abs=1e-5)
-    assert rigid.traction.x.array == pytest.approx(meshed.traction.x.array, rel=1e-4, abs=1e-5)
 
 
 def test_two_tools_share_a_side(monkeypatch):
@@ -131,20 +111,12 @@ def test_two_tools_share_a_side(monkeypatch):
     assert pressed(discs)[1] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("d", "share"), [(2, 0.3), (3, 0.02)])
-def test_a_ball_smaller_than_a_facet_is_noted(d, share):
+def test_a_ball_smaller_than_a_facet_is_noted():
     """It sinks in beside all points of integration, without any force."""
-    h = 0.25
-    case = Box(
-        ("quadrilateral", "hexahedron")[d - 2],
-        [4] * d,
-        low=(0.0, 0.0, -1.0)[3 - d :],
-        high=(1.0, 1.0, 0.0)[3 - d :],
-    )
-    centre = np.array([0.5 + 0.37 * h] * (d - 1) + [0.0])
-    tool = case.tool((dm.shapes.Cylinder if d == 2 else dm.shapes.Sphere)(centre, share * h))
+    h, case = 0.25, Box("hexahedron", (4, 4, 4), (0.0, 0.0, -1.0), (1.0, 1.0, 0.0))
+    tool = case.tool(dm.shapes.Sphere(np.array([0.5 + 0.37 * h, 0.5 + 0.37 * h, 0.0]), 0.02 * h))
     problem = case.problem([tool])
-    for place, noted in ((share - 0.02, False), (share - 0.3, True)):
+    for place, noted in ((0.0, False), (-0.28, True)):
         tool.position.value[-1] = place * h
         assert said(dm.newton(problem).notes, "deep in") == noted
 
@@ -217,26 +189,19 @@ def test_facets_of_a_side_that_is_partly_round(x):
     assert said(report.notes, "facets of curved sides") == (x > 0.5)
 
 
-# -- motions
-
-
 # -- bad input
 
 UP, DOWN = (dm.shapes.Plane([0.0, 0.0], [0.0, way]) for way in (1.0, -1.0))
 AXIS = {"kinematics": "axisymmetric"}
 WRONG = [  # options of the obstacle, of the problem; words
     ({"slave": "lid"}, {}, ("lid",)),
-    ({"slave": 77}, {}, ("slave=77", "marks no facet")),
     ({"shape": "ball"}, {}, ("shape is 'ball'", "dolfinx_mortar.shapes")),
     ({"shape": FILE}, {}, ("3 coordinates", "the mesh has 2")),
-    ({"shape": BALL}, {}, ("shape: Sphere", "give a Cylinder")),
     ({}, AXIS, ("shape: Cylinder", "Sphere or a Torus")),
     ({"reference": [0.0, 0.0, 0.0]}, {}, ("reference", "2 finite")),
     ({"surface": "round"}, {}, ("surface is 'round'", "'smooth' or 'facets'")),
-    ({"friction": 0.1, "tresca": 1.0}, {}, ("friction", "tresca")),
     ({"load": -1.0}, {}, ("load is -1.0", "dictionary", "'moment'")),
     ({"load": {"z": -1.0}}, {}, ("load is {'z': -1.0}", "'x', 'y', 'moment'")),
-    ({"load": {"y": "heavy"}}, {}, ("load['y'] is 'heavy'", "finite number")),
 ]
 
 
@@ -268,7 +233,7 @@ def test_what_the_audit_says_of_a_tool():
     for shape, told in (
         (DOWN, []),
         (UP, ["no facet of the side faces the tool"]),
-        (dm.shapes.Cylinder([0.0, 1.0], 5.0), ["4 deep in the body around"]),
+        (dm.shapes.Cylinder([0.0, 1.0], 5.0), ["4 deep, around"]),
     ):
         case = Block(n=8)
         audit = case.problem([case.tool(shape, friction=0.3)]).audit()
@@ -335,7 +300,6 @@ def part(name, value):
     ("change", "told"),
     [
         (part("value", np.nan), "Half: the value of its distance is NaN or inf"),
-        (part("hessian", np.inf), "Half: the hessian of its distance is NaN or inf"),
         (lambda found, _: None, "Half.distance() is None: return a shapes.Distance"),
         (
             lambda found, _: replace(found, gradient=found.gradient[:, :1]),
@@ -360,8 +324,6 @@ def test_what_a_tool_does_is_undone_when_it_rolls_back():
     before, ended = rng.uniform(-1.0, 1.0, (2, 30, 2))
     tool.position.value[:], tool.rotation.value = (0.7, R), 0.8
     way = tool.tool.way(before, ended)
-    carried = tool.tool.pose().to_space(tool.tool.began.to_tool(before))
-    assert tool.tool.way(before, carried) == pytest.approx(carried - before, abs=1e-13)
     tool.restore(tool.state(True))
     tool.position.value[:], tool.rotation.value = (0.0, R), 0.0
     assert tool.tool.way(ended, before) == pytest.approx(-way, abs=1e-13)

@@ -22,13 +22,6 @@ SPEC.loader.exec_module(demo)
 E, NU, Y, K0 = 1000.0, 0.3, 2.0, 4e-3
 # JAX is in the environment of docs/build, with which .ci/run runs this file once more.
 VERSIONS = ["ufl", "numpy", *(["jax"] if demo.jax else [])]
-WRONG = [
-    (("--exponent", "1.5"), "--exponent 1.5"),
-    (("--steps", "0"), "--steps 0"),
-    (("--displacement", "nan"), "--displacement nan"),
-]
-if demo.jax is None:
-    WRONG.append((("--versions", "jax"), "pip install 'dolfinx_mortar[jax]'"))
 SHEAR = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, 0.2], [0.5, 0.2, 0.0]])
 
 
@@ -81,31 +74,9 @@ def test_the_versions_agree(tmp_path, capsys):
     for found in summary["versions"].values():
         assert max(found[what] for what in ("force", "pressure", "stress")) < demo.AGREEMENT
         assert max(found["newton_iterations"]) < 12 and found["assembly_seconds"] > 0.0
-    assert summary["steps"][-1]["max_plastic_strain"] > 1e-3
     assert (tmp_path / "own_law.png").stat().st_size > 5000
     said = capsys.readouterr().out
     assert "numpy: Newton iterations" in said and (demo.INSTALL in said) == (demo.jax is None)
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_versions_that_disagree_end_the_demo(tmp_path, monkeypatch):
-    class Other(demo.SwiftNumpy):
-        @staticmethod
-        def update(strain, state, p):
-            stress, tangent, new = demo.SwiftNumpy.update(strain, state, p)
-            return (1 + 1e-10) * stress, tangent, new
-
-    monkeypatch.setitem(demo.LAWS, "numpy", Other)
-    with pytest.raises(SystemExit, match=r"the versions disagree by \S+e-1[01]"):
-        demo.main(options(tmp_path, "--versions", "ufl", "numpy"))
-
-
-@pytest.mark.parametrize(("given", "said"), WRONG)
-def test_what_cannot_be_is_said(given, said, tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        demo.check(options(tmp_path, *given))
-    assert said in capsys.readouterr().err
 
 
 def test_the_law_of_the_guide_in_jax_is_that_in_ufl():

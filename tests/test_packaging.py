@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What a release holds and needs: the version, the folders of its archive, the libraries."""
 
-import json
 import re
 import tomllib
 from pathlib import Path
@@ -45,15 +44,6 @@ def test_the_changelog_tells_of_this_version_in_the_form_that_tools_read():
     assert headings[0] == "Unreleased" and dm.__version__ in headings
     kinds = set(re.findall(r"^### (.*)$", text, re.MULTILINE))
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
-
-
-def test_no_other_file_states_a_version_of_its_own():
-    """Zenodo takes that of the release; the recipe reads the package's file, with this pattern."""
-    assert "version" not in json.loads((ROOT / ".zenodo.json").read_text())
-    recipe = (ROOT / "conda" / "meta.yaml").read_text()
-    (pattern,) = re.findall(r"regex_pattern='(.*?)'", recipe)
-    assert re.search(pattern, Path(dm.__file__).read_text())[1] == dm.__version__
-    assert dm.__version__ not in recipe
 
 
 def test_every_environment_is_of_one_list_of_packages():

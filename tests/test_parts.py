@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 
 from dolfinx_mortar.geometry import area, segments
-from dolfinx_mortar.geometry.elements import QUAD9, TRI6
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, tributary_weights
+from dolfinx_mortar.geometry.facets import (
+    QUAD9,
+    TRI6,
+    Facets,
+    facet_normals,
+    points_of,
+    tributary_weights,
+)
 from dolfinx_mortar.geometry.plane import parts_of
 
 
@@ -66,35 +72,3 @@ def test_rules_are_exact_on_flat_facets_and_close_on_curved_ones(element, larges
         assert size > 1.0
         assert np.abs(found[0] - exact[0]).max() < (1e-14 + largest * turn**2) * size
         assert np.abs(found[1] - exact[1]).max() < (1e-14 + 1e-5 * turn**4) * size
-
-
-def uneven(n, half, seed):
-    """Return n x n flat nine-node facets on a square, whose inner corners are off by a sixth."""
-    line, size = np.linspace(-half, half, n + 1), 2 * half / n
-    at = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
-    shift = np.random.default_rng(seed).uniform(-size / 6, size / 6, (n - 1, n - 1, 2))
-    at[1:-1, 1:-1] += shift
-    corners = np.stack([at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]], axis=2)
-    x = QUAD9.first.shape_functions(QUAD9.points) @ corners.reshape(-1, 4, 2)
-    return Facets(QUAD9, np.pad(x, ((0, 0), (0, 0), (0, 1))))
-
-
-def test_a_constant_pressure_passes_through_uneven_quadrilaterals(monkeypatch):
-    """To round-off: inverse maps are no polynomials. Products of functions to 1e-12."""
-    slave, master = uneven(3, 1.2, 1), uneven(2, 1.0, 2)
-    master = Facets(QUAD9, np.ascontiguousarray(master.x[:, list(QUAD9.mirrored)]))
-    pairs = np.array([[s, m] for s in range(9) for m in range(4)], dtype=np.int32)
-
-    def found():
-        p = segments.create_segments(slave, np.zeros((9, 1, 3)), master, pairs)
-        N, L = (QUAD9.shape_functions(xi) for xi in (p.xi_s, p.xi_m))
-        w = p.weight[:, None]
-        sums = [np.sum((w * L)[p.master == m], axis=0) for m in range(4)]
-        return np.array(sums), np.array(
-            [(w * N)[p.pair == k].T @ L[p.pair == k] for k in range(len(pairs))]
-        )
-
-    sums, together = found()
-    assert np.abs(sums - tributary_weights(master)).max() < 1e-14
-    monkeypatch.setattr(area, "least_degree", lambda slave, master: 24)
-    assert np.abs(together - found()[1]).max() < 1e-12

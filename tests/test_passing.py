@@ -10,7 +10,6 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
-from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.steps.failures import describe_passing
@@ -27,38 +26,6 @@ COMM = MPI.COMM_WORLD
 
 
 # -- points and facets -----------------------------------------------------------------------------
-
-
-def triangle(d):
-    corners = {2: [[1, 0], [-1, 0]], 3: [[1, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]}
-    return np.array([corners[d]], dtype=float)
-
-
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("carried", [0.0, 7.0])
-def test_which_points_pass(d, carried):
-    """Inwards, through the facet, not beside it; whatever both do together does not count."""
-    x, up = triangle(d), np.eye(d)[-1]
-    beside = 3.0 * np.eye(d)[0]
-    start = np.array([2 * up, -2 * up, 2 * up + beside, 2 * up, 0.1 * up])
-    end = np.array([-2 * up, 2 * up, -2 * up + beside, 0.1 * up, -0.1 * up])
-    shift = carried * np.arange(1.0, d + 1.0)
-    assert find_passing((start, end + shift), (x, x + shift)).tolist() == [0, 4]
-    # the facet moves as fast as the points
-    assert find_passing((start[:1], end[:1]), (x, x - 4 * up)).tolist() == []
-    assert find_passing((start[3:4], start[3:4]), (x, x + 4 * up)).tolist() == [0]
-
-
-def test_many_facets_and_no_facet():
-    """A grid of points through a plane of lines: each passes, also where two lines meet."""
-    x = np.linspace(0.0, 1.0, 11)
-    ends = np.stack([x[1:], x[:-1]], axis=1)
-    lines = np.stack([ends, np.zeros_like(ends)], axis=2)
-    points = np.stack([np.linspace(0.0, 1.0, 21), np.full(21, 0.5)], axis=1)
-    through = points - [0.0, 30.0]
-    assert find_passing((points, through), (lines, lines)).tolist() == list(range(21))
-    for none in ((points[:0], lines), (points, lines[:0])):
-        assert find_passing((none[0], none[0]), (none[1], none[1])).tolist() == []
 
 
 # -- steps -----------------------------------------------------------------------------------------

@@ -10,14 +10,12 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 from dolfinx_mortar.materials import response
 from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.materials.von_mises import LEAST_RATIO
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pointwise_laws import Radial
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import create_displacement, create_domain
 from tests.cases.user_laws import Slack
 from tests.choice import quick
-from tests.test_user_laws import Isotropic
 
 E, NU, Y = 206_900.0, 0.29, 367.0
 HARDENING = {
@@ -25,10 +23,9 @@ HARDENING = {
     "kinematic": dm.VonMises(E, NU, Y, 10_000.0),
     "mixed": dm.VonMises(E, NU, Y, 10_000.0, 5_000.0),
 }
-# A law by its energy, by its stress, with a stated tangent, in arrays, and with an apex.
+# A law by its energy, with a stated tangent, in arrays, and with an apex.
 LAWS = HARDENING | {
     "stated": dm.VonMisesVoce(E, NU, Y, 10_000.0, 500.0, 200.0, 20.0),
-    "stress": Isotropic(E, NU, 450.0, 15_000.0),
     "arrays": Radial(E, NU, Y, 10_000.0),
     "cone": dm.DruckerPrager(E, NU, Y, 0.3),
 }
@@ -36,20 +33,16 @@ LAWS = HARDENING | {
 
 @dataclass(frozen=True)
 class Other(dm.VonMises):
-    """A law with an energy of its own, for which the root of the one it inherits is not right."""
+    """A law with an energy of its own, for which the tangent that it inherits is not right."""
 
     energy = staticmethod(dm.VonMises.energy)
 
 
-# Von Mises without the closed root: of another energy, and of a ratio below that of the closed one.
-LAWS |= {
-    "other": Other(E, NU, Y, 10_000.0, 5_000.0),
-    "auxetic": dm.VonMises(E, -0.95, Y, 1.0, 1.0),
-}
-_POINTS: dict[tuple[str, int], MaterialPoint] = {}
+LAWS |= {"other": Other(E, NU, Y, 10_000.0, 5_000.0)}
+_POINTS = {}
 
 
-def point(name: str, d: int) -> MaterialPoint:
+def point(name, d):
     if (name, d) not in _POINTS:
         kinematics = "plane_stress" if d == 2 else None
         _POINTS[name, d] = MaterialPoint(LAWS[name], d, kinematics)
@@ -57,24 +50,24 @@ def point(name: str, d: int) -> MaterialPoint:
     return _POINTS[name, d]
 
 
-def in_plane(rng: np.random.Generator) -> np.ndarray:
+def in_plane(rng):
     """Return a random symmetric tensor with zeros out of the plane."""
     tensor = np.zeros((3, 3))
     tensor[:2, :2] = rng.standard_normal((2, 2))
     return (tensor + tensor.T) / 2
 
 
-def free(space: MaterialPoint, strain: np.ndarray) -> np.ndarray:
+def free(space, strain):
     """Return the strain with the component out of the plane that leaves no stress there."""
 
-    def stress(zz: float) -> float:
+    def stress(zz):
         return space.stress(strain + np.diag([0.0, 0.0, zz]))[2, 2]
 
     width = 3 * np.abs(strain).max() + 0.1
     return strain + np.diag([0.0, 0.0, brentq(stress, -width, width, xtol=1e-16, rtol=1e-15)])
 
 
-def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float) -> int:
+def compare(flat, space, path, scale):
     """Walk a path with both and return in how many steps the plastic strain has changed."""
     before, flowed = np.zeros((3, 3)), 0
     for strain in path:
@@ -101,8 +94,7 @@ def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, r
         plastic = flat.commit()
         assert abs(np.trace(plastic)) < 1e-15 * (1 + np.abs(plastic).max())
     material = create_law("law", LAWS[name])
-    assert (material.normal_strain is not None) == (name in HARDENING)
-    assert (material.tangent is not None) == (name in (*HARDENING, "stated", "auxetic"))
+    assert (material.tangent is not None) == (name in (*HARDENING, "stated"))
     if name == "mixed":
         k = [p.solid.fields.values("accumulated_plastic_strain")[0, 0] for p in (flat, space)]
         assert k[0] == pytest.approx(k[1], rel=1e-9) and k[0] > 1e-2
@@ -124,7 +116,7 @@ def test_linear_laws_are_condensed_in_the_compiled_code(rng):
 @pytest.mark.parametrize("size", [0.9, 3.0, 1e4])
 def test_the_whole_range_of_ratios(nu, size, rng):
     """No stress out of the plane, the residual being checked: flow and yield surface say so."""
-    flat = point("mixed" if nu >= LEAST_RATIO else "auxetic", 2)
+    flat = point("mixed", 2)
     table = flat.solid.regions[0].function.x.array.reshape(-1, 5)
     values = table[0].copy()
     table[:] = [1000.0, nu, 1.0, 0.0, 50.0]
@@ -148,39 +140,12 @@ def test_the_whole_range_of_ratios(nu, size, rng):
         table[:] = values
 
 
-@dataclass(frozen=True)
-class SlackArrays(dm.materials.PointwiseLaw):
-    """The same as a function of arrays."""
-
-    E: float
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return p.E * strain
-
-    @staticmethod
-    def update(strain, state, p):
-        stress = 1e3 * strain
-        stress[:, 2, 2] = 1e3
-        return stress, np.zeros((len(strain), 3, 3, 3, 3)), {}
-
-
 @pytest.mark.mpi
-@pytest.mark.parametrize("law", [Slack(1e3), SlackArrays(1e3)], ids=["ufl", "arrays"])
-def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
+def test_a_law_that_always_pulls_is_an_error_on_all_ranks():
     """No strain out of the plane leaves no stress: that is noticed, not a number."""
-    solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
+    u = create_displacement(create_domain("triangle"))
+    solid = dm.Solid(u, Slack(1e3), kinematics="plane_stress")
     after = f"after {response.LIMIT} iter"
     for ask in (solid.evaluate, solid.element_force_norm):
-        with rejected(type(law).__name__, "no strain out of the plane was found", after):
+        with rejected("Slack", "no strain out of the plane was found", after):
             ask()
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("name", ["perfect", "arrays"])
-def test_pressed_plates(name):
-    """Contact of plates that flow converges, without stress out of the plane."""
-    case = PressedBlocks()
-    solid = dm.Solid(case.u, LAWS[name], kinematics="plane_stress")
-    assert dm.newton(case.problem(law=solid)).converged
-    assert solid.max("plastic_strain_norm") > 1e-4 and solid.max("stress_zz") == 0.0

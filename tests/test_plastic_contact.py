@@ -20,88 +20,27 @@ TEN_STEPS = {"force": 4619.0, "peak": 1698.0, "strain": 0.0381}
 TOLERANCE = {"force": 5e-3, "peak": 2e-2, "strain": 3e-2}
 
 
-def observe(case):
-    """Return the compared quantities of a committed state."""
-    strain = case.problem.solid.max("plastic_strain_norm")
-    peak = case.contact.gather(case.problem.u)["pressure"].max()
-    return {"force": case.force, "peak": float(peak), "strain": strain}
-
-
-def compare(found, expected):
-    """Compare each quantity with its own tolerance."""
-    for name, value in expected.items():
-        assert abs(found[name] / value - 1) < TOLERANCE[name], (name, found[name])
-
-
-def test_one_step():
-    """One step to 0.2 mm: force, pressure, plastic strain; both slave sides agree."""
-    found, factorisations = [], []
+@pytest.mark.parametrize(
+    ("count", "expected"), [(1, ONE_STEP), pytest.param(10, TEN_STEPS, marks=pytest.mark.slow)]
+)
+def test_force_pressure_and_strain(count, expected):
+    """The loading path matters; with updated geometry the choice of the slave does not."""
+    found = []
     for slave in ("block", "disc"):
         case = create_case(create_mesh("graded", 0.05), slave=slave, surface="facets")
-        case.press(0.2)
-        report = dm.newton(case.problem)
-        case.problem.commit()
-        assert report.newton_iterations <= 13
-        factorisations.append(report.factorisations / report.newton_iterations)
-        found.append(observe(case))
-        compare(found[-1], ONE_STEP)
-    assert max(factorisations) <= 1.2
-    # updated geometry makes the answer independent of the choice
-    assert abs(found[0]["force"] / found[1]["force"] - 1) < 2e-4
-    assert abs(found[0]["peak"] / found[1]["peak"] - 1) < 2e-3
-
-
-@pytest.mark.slow
-def test_ten_steps():
-    """The loading path matters: ten equal steps end at another force and pressure."""
-    force = []
-    for slave in ("block", "disc"):
-        case = create_case(create_mesh("graded", 0.05), slave=slave, surface="facets")
-        times = np.linspace(0, 0.2, 11)[1:]
-        steps = list(dm.load_steps(case.problem, times, on_time=case.press))
-        assert all(len(step.parts) == 1 for step in steps)
-        compare(observe(case), TEN_STEPS)
-        force.append(case.force)
-    assert abs(force[0] / force[1] - 1) < 2e-4
-
-
-def walk(case, times):
-    """Run load steps; return displacement, force and active nodes of each."""
-    rows = []
-    for step in dm.load_steps(case.problem, times, on_time=case.press):
-        assert len(step.parts) == 1
-        rows.append((step.time, case.force, step.report.certificate.active_nodes))
-    assert rows[-1][0] == times[-1]
-    return np.array(rows)
-
-
-def test_separation_and_contact_again():
-    """Load, separation and contact again run through; separation leaves no force but a dent."""
-    case = create_case(create_mesh("paper", 0.05))
-    part = np.linspace(0, 0.2, 5)
-    up = walk(case, part[1:])
-    assert np.all(np.diff(up[:, 1]) > 0)
-    down = walk(case, part[-2::-1])
-    separated = down[:, 2] == 0
-    assert separated[-1] and not separated[0]
-    assert np.all(down[separated, 1] <= 1e-9 * up[-1, 1])
-    surface = case.contact.gather(case.problem.u)
-    sink = (surface["X"] - surface["x"])[:, 1]
-    assert sink.max() > 0.01
-    assert surface["gap"][np.argmax(sink)] > 0.01
-    again = walk(case, part[1:])
-    # kinematic hardening, unloaded elastically or nearly so: the way back ends where it began
-    assert abs(again[-1, 1] / up[-1, 1] - 1) < 0.02
-    assert np.count_nonzero(again[:, 2] == 0) > 0
-
-
-@pytest.mark.parametrize(("slave", "depth"), [("block", 0.2), ("disc", 0.4)])
-@pytest.mark.parametrize(("geometry", "limit"), [("reference", 10), ("updated", 13)])
-def test_newton_iterations(depth, slave, geometry, limit):
-    """Frozen geometry is quadratic, updated a little slower."""
-    case = create_case(create_mesh("paper", 0.05), slave=slave, geometry=geometry)
-    case.press(depth)
-    assert dm.newton(case.problem).newton_iterations <= limit
+        times = np.linspace(0, 0.2, count + 1)[1:]
+        for step in dm.load_steps(case.problem, times, on_time=case.press, progress=False):
+            report = step.report
+            assert len(step.parts) == 1 and report.newton_iterations <= 13
+            assert report.factorisations <= 1.2 * report.newton_iterations
+        peak = float(case.contact.gather(case.problem.u)["pressure"].max())
+        strain = case.problem.solid.max("plastic_strain_norm")
+        found.append({"force": case.force, "peak": peak, "strain": strain})
+        for name, value in expected.items():
+            assert abs(found[-1][name] / value - 1) < TOLERANCE[name], (name, found[-1])
+    one, other = found
+    assert abs(one["force"] / other["force"] - 1) < 2e-4
+    assert count > 1 or abs(one["peak"] / other["peak"] - 1) < 2e-3
 
 
 def test_quadratic_tail():
@@ -140,11 +79,16 @@ def test_units():
 
 
 def test_tolerances_down_to_round_off():
-    """The tolerance 1e-12 stops at round-off, also for separated bodies and after unloading."""
-    case = create_case(create_mesh("paper", 0.05))
-    for depth in (0.1, 0.0, -0.05, 0.0, 0.1):
+    """Rtol 1e-12 stops at round-off, also for separated bodies; unloading leaves a dent."""
+    case, forces = create_case(create_mesh("paper", 0.05)), []
+    for depth in (0.1, 0.2, 0.0, -0.05, 0.0, 0.2):
         case.press(depth)
-        report = dm.newton(case.problem, rtol=1e-12)
+        assert dm.newton(case.problem, rtol=1e-12).converged
         case.problem.commit()
-        assert report.converged
+        forces.append(case.force)
         assert (case.force > 0) == (depth > 0)
+        if depth < 0:
+            nodes = case.contact.gather(case.problem.u)
+            sink = (nodes["X"] - nodes["x"])[:, 1]
+            assert sink.max() > 0.01 and nodes["gap"][np.argmax(sink)] > 0.06
+    assert forces[-1] == pytest.approx(forces[1], rel=0.02)  # kinematic hardening

@@ -154,9 +154,8 @@ def test_only_the_outside_of_bodies_in_space_is_gathered(cell, degree):
     DG = fem.Function(fem.functionspace(mesh.mesh, ("DG", 0)))
     DG.interpolate(lambda x: x[2])
     owned = mesh.mesh.topology.index_map(3).size_local
-    height = V.tabulate_dof_coordinates()[:, 2]
     X = V.tabulate_dof_coordinates()
-    shaded = gather_bodies(V, X, height, at_nodes=True)
+    shaded = gather_bodies(V, X, X[:, 2], at_nodes=True)
     found = gather_bodies(V, X, DG.x.array[:owned], at_nodes=False)
     assert (found is None) != FIRST
     if FIRST:
@@ -165,10 +164,8 @@ def test_only_the_outside_of_bodies_in_space_is_gathered(cell, degree):
         n = 3 if cell == "tetrahedron" else 4
         corners = x[:, :n]
         block = corners[(corners[:, :, 2] <= 1e-9).all(axis=1)]
-        a, b, c = block[:, 0], block[:, 1], block[:, 2]
-        sizes = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        if n == 4:
-            sizes += np.linalg.norm(np.cross(c - a, block[:, 3] - a), axis=1) / 2
+        a, b, c, d = (block[:, i] for i in (0, 1, 2, n - 1))
+        sizes = np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
         assert sizes.sum() == pytest.approx(2 * 64.0 + 4 * 48.0)
         below = found.values[(corners[:, :, 2] <= 1e-9).all(axis=1)]
         assert (below < 0.0).all()

@@ -35,8 +35,7 @@ def test_springs_of_a_block_that_nothing_else_holds(cell):
     e, k, f = np.eye(d), 30.0, np.array([5.0, -3.0, 2.0])[:d]
     pins = [(np.zeros(d), e[0]), (np.zeros(d), e[1]), (SIZE[:d] * e[0], e[1])]
     if d == 3:
-        pins += [(SIZE * e[1], e[0]), *((p, e[2]) for p in (np.zeros(3), SIZE * e[0], SIZE * e[1]))]
-        pins.pop(3)  # five of six would do without it
+        pins += [(p, e[2]) for p in (np.zeros(3), SIZE * e[0], SIZE * e[1])]
     springs = [dm.PointSpring(solid.V, point, k * np.outer(n, n)) for point, n in pins]
     load = dm.PointForce(solid.V, SIZE[:d] * [0.5, 1.0, 1.0][:d], f)
     problem = dm.ContactProblem(solid, terms=[*springs, load])
@@ -71,12 +70,10 @@ def test_reaction_of_a_clamped_block_and_a_ramp(degree):
 NO_NODE = "point [0.3, 0.1] is no node", "nearest one is (0.5, 0)"
 BAD = [
     ((0.3, 0.1), 1.0, NO_NODE),
-    ((1.0, 0.0, 0.0), 1.0, ("point is (1.0, 0.0, 0.0)", "2 finite coordinates")),
-    ((1.0, np.nan), 1.0, ("2 finite coordinates",)),
-    ("tip", 1.0, ("point is 'tip'", "2 finite coordinates")),
+    ((1.0, np.nan), 1.0, ("point is (1.0, nan)", "2 finite coordinates")),
     *(
         ((0.0, 0.0), k, ("stiffness is", "k >= 0", "2 x 2"))
-        for k in (-1.0, "stiff", np.eye(3), [[1.0, 2.0], [0.0, 4.0]])
+        for k in (-1.0, [[1.0, 2.0], [0.0, 4.0]])
     ),
 ]
 
@@ -92,11 +89,8 @@ def test_springs_that_are_none(point, k, words):
 def test_values_and_spaces_that_are_none():
     solid, other = create_solid(), create_solid()
     V = solid.V
-    with rejected("PointForce", *NO_NODE):
-        dm.PointForce(V, (0.3, 0.1), (0.0, 1.0))
-    for value in (1.0, (1.0, np.inf), "down", fem.Constant(solid.mesh, 1.0)):
-        with rejected("PointForce: value is", "2 finite components"):
-            dm.PointForce(V, (0.0, 0.0), value)
+    with rejected("PointForce: value is", "2 finite components"):
+        dm.PointForce(V, (0.0, 0.0), (1.0, np.inf))
     with rejected("PointForce: V is", "solid.V"):
         dm.PointForce(solid, (0.0, 0.0), (0.0, 1.0))
     with rejected("PointSpring: V has no displacement"):

@@ -12,7 +12,6 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.materials.tensor import INDEX
 from dolfinx_mortar.solid.pointwise import packed
 from tests.cases.pointwise_laws import UNIT, VOLUME, Compiled, OneSided, Radial, nan_last, spoilt
-from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.solid import (
     CELLS,
     COMM,
@@ -61,7 +60,6 @@ CASES = [
     (Radial, "quadrilateral", 1, MEAN),
     (Compiled, "triangle", 2, {}),
     (Compiled, "quadrilateral", 1, RING | MEAN),
-    (Compiled, "hexahedron", 1, MEAN),
 ]
 
 
@@ -75,33 +73,15 @@ def test_the_law_in_numbers_is_the_law_in_ufl(law, cell, degree, options):
     compare(*solids)
 
 
-@pytest.mark.mpi
-def test_contact_with_a_pointwise_law():
-    """Pressed blocks that flow: the force of the law in UFL, without an energy by whole steps."""
-    forces = []
-    for law in (dm.VonMises, Compiled):
-        case = PressedBlocks()
-        problem = case.problem(law=law(1000.0, 0.3, 1.0, 100.0))
-        report = dm.newton(problem, rtol=1e-10)
-        assert report.converged and problem.solid.max("plastic_strain_norm") > 1e-4
-        whole = all(i.line_search_steps == 0 and i.step_length == 1.0 for i in report.iterations)
-        assert whole or law is dm.VonMises
-        forces.append(problem.contacts[0].force)
-    assert forces[1] == pytest.approx(forces[0], rel=1e-8)
-
-
 MISTAKES = [
     (
         {"stress": nan_last},
         r"Spoilt.update gives NaN or infinity at 1 .*first at point 0 of the cell around \(0\.",
     ),
-    ({"tangent": nan_last}, "Spoilt.update gives NaN or infinity at 1"),
-    ({"plastic_strain": nan_last}, "Spoilt.update gives NaN or infinity at 1"),
     (
         {"stress": lambda s: s[:, 0]},
         r"the stress has the shape \((\d+), 3\) at \1 points; it must be \(\1, 3, 3\)",
     ),
-    ({"tangent": lambda t: t[..., 0]}, r"the tangent has the shape"),
     ({"plastic_strain": lambda e: e[0]}, r"plastic_strain has the shape \(3, 3\)"),
     ({"stress": lambda s: "stress"}, r"the stress is a str; it must be an array"),
     (

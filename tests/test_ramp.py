@@ -54,24 +54,22 @@ def test_a_table_is_as_good_as_a_function():
 def test_a_table_that_nothing_reads_is_told_of():
     """Of a support that was given a copy, once; not where a function may read what it likes."""
     case = PressedBlocks()
-    read = {name: fem.Constant(case.mesh, 0.0) for name in ("load", "spring", "friction", "warm")}
+    load, spring, friction, warm = (fem.Constant(case.mesh, 0.0) for _ in range(4))
     copied, modulus = fem.Constant(case.mesh, np.zeros(2)), fem.Constant(case.mesh, 1e3)
     v = ufl.TestFunction(case.V)
-    solid = dm.Solid(case.u, dm.Elastic(modulus, 0.3), eigenstrain=2 * read["warm"])
-    contact = dm.Contact(case.facets, slave=3, master=4, friction=read["friction"])
-    spring = dm.WeakForm(solid, energy=read["spring"] * ufl.inner(case.u, case.u) * ufl.dx)
-    problem = dm.ContactProblem(
-        solid, [contact], bcs=case.bcs(), loads=read["load"] * v[0] * ufl.dx, terms=[spring]
-    )
-    ramp = {one: [(0, one.value), (2, one.value)] for one in [*read.values(), modulus, case.top]}
+    solid = dm.Solid(case.u, dm.Elastic(modulus, 0.3), eigenstrain=2 * warm)
+    contact = dm.Contact(case.facets, slave=3, master=4, friction=friction)
+    terms = [dm.WeakForm(solid, energy=spring * ufl.inner(case.u, case.u) * ufl.dx)]
+    own = {"bcs": case.bcs(), "loads": load * v[0] * ufl.dx, "terms": terms}
+    problem = dm.ContactProblem(solid, [contact], **own)
+    read = load, spring, friction, warm, modulus, case.top
+    ramp = {one: [(0, one.value), (2, one.value)] for one in read}
     ramp[copied] = [(0, (0, 0)), (2, (0, -1))]
 
     def told(**options):
-        steps = list(dm.load_steps(problem, [1, 2], start=0, ramp=ramp, progress=False, **options))
-        return [
-            [n for n in step.report.notes if "is for a Constant that nothing" in n]
-            for step in steps
-        ]
+        steps = dm.load_steps(problem, [1, 2], start=0, ramp=ramp, progress=False, **options)
+        words = "is for a Constant that nothing"
+        return [[n for n in step.report.notes if words in n] for step in steps]
 
     first, second = told()
     assert len(first) == 1 and first[0].startswith("ramp: table 7 ") and not second
@@ -110,14 +108,8 @@ def test_values_of_any_shape_and_tables_that_are_read_once():
     ("table", "words"),
     [
         (None, "ramp: table 1 is None: give rows (level, value), at least two, with values of"),
-        ({0.0: 1.0}, "is {0.0: 1.0}: give rows (level, value)"),
-        ([(0.0, (0.0, 0.0))], "at least two, with values of shape (2,)"),
         ([(0.0, (0.0, 0.0)), (1.0, 2.0)], "row 2 is (1.0, 2.0): give rows"),
         ([(0.0, (0.0, 0.0)), (1.0, (1.0, np.nan))], "in finite numbers"),
-        ([(np.inf, (0.0, 0.0)), (1.0, (1.0, 0.0))], "row 1 is (inf, (0.0, 0.0))"),
-        ([(0.0, (0.0, 0.0)), (True, (1.0, 1.0))], "row 2 is (True, (1.0, 1.0))"),
-        ([(0.0, (0.0, 0.0)), (1.0, (1.0, 1.0), 2.0)], "row 2 is"),
-        ([(0.0, (0.0, 0.0)), None], "row 2 is None"),
         ([(0.0, (0.0, 0.0)), (0.0, (1.0, 1.0))], "levels [0.0, 0.0]: they must rise from row"),
     ],
 )
@@ -131,7 +123,6 @@ def test_keys_that_are_none():
     rows = [(0.0, 0.0), (1.0, 1.0)]
     for ramp, words in (
         ([(press.top, ROWS)], "give a dictionary {Constant: [(level, value), ...]}"),
-        (1.0, "ramp is 1.0: give a dictionary"),
         ({"top": rows}, "ramp: table 1: the key is 'top': give a dolfinx Constant"),
         ({press.top: ROWS, press.problem.u: rows}, "ramp: table 2: the key is"),
     ):
@@ -145,7 +136,6 @@ def test_levels_that_a_table_does_not_hold():
     press = Press()
     for rows, levels, start, words in (
         (ROWS, [0.5, 1.1], None, "table 1 holds levels from 0 to 1, but the run goes from 0"),
-        (ROWS[1:], [0.6, 1.0], None, "from 0.6 to 1, but the run goes from 0 over levels between"),
         (ROWS, [0.5], -0.1, "the run goes from -0.1 over levels between -0.1 and 0.5: add rows"),
     ):
         with rejected("ramp: ", words):
@@ -161,16 +151,27 @@ def test_levels_that_a_table_does_not_hold():
 def test_a_walk_goes_on_with_its_tables(folder):
     """After three of four levels, in another numbering; the tables may end elsewhere."""
     file = folder / "run.h5"
-    whole, first, second = Press(), Press(), Press(partition="stripes")
+    whole, first, second, third = Press(), Press(), Press(partition="stripes"), Press()
     list(whole.walk(LEVELS, on_time=None, ramp={whole.top: ROWS}))
     list(first.walk(LEVELS[:3], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
     farther = [*ROWS, (2.0, (0.5, -0.5))]
     left = list(second.walk(LEVELS, on_time=None, ramp={second.top: farther}, checkpoint=file))
     assert [step.number for step in left] == [4]
     agree(second.numbers(), whole.numbers())
-    third = Press()
     assert not list(third.walk(LEVELS, on_time=None, ramp={third.top: farther}, checkpoint=file))
     assert np.allclose(third.top.value, [0.00137500, -0.006125])  # of level 0.75
+
+
+def test_tables_are_compared_where_the_walk_has_been():
+    """At the corners of both, by more than round-off."""
+    number, rows = constant(0.0), [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
+    saved = [read_ramps(COMM, {number: rows})[0].rows]
+    other = [[(t, v * (1 + error)) for t, v in rows] for error in (1e-14, 1e-10)]
+    for table, differs in zip([*other, rows[::2]], (False, True, True), strict=True):
+        found = difference(saved, read_ramps(COMM, {number: table}), [0.0, 1.0])
+        assert bool(found) == differs
+    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
+    assert "another shape" in difference(saved, vector, [0.0, 1.0])
 
 
 @pytest.mark.mpi
@@ -179,36 +180,9 @@ def test_a_walk_does_not_go_on_with_other_tables(folder):
     first = Press()
     list(first.walk(LEVELS[:2], on_time=None, ramp={first.top: ROWS}, checkpoint=file))
     other = [ROWS[0], (0.4, (0.001, -0.005)), ROWS[2]]
-    for rows, words in (
-        (other, "table 1 gives [0.001, -0.005] at level 0.4 now, [0.000666"),
-        ([(t, (0.0, v[1])) for t, v in ROWS], "at level 0.5 now, "),
-    ):
-        press = Press()
-        with rejected(
-            "ramp: ", words, f"the checkpoint {str(file)!r} was written: give the tables"
-        ):
-            next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}, checkpoint=file))
-        assert not press.problem.history and not press.problem.u.x.array.any()
-    press = Press()
+    press, said = Press(), "table 1 gives [0.001, -0.005] at level 0.4 now, [0.000666"
+    with rejected("ramp: ", said, f"the checkpoint {str(file)!r} was written: give the tables"):
+        next(press.walk(LEVELS, on_time=None, ramp={press.top: other}, checkpoint=file))
+    assert not press.problem.history and not press.problem.u.x.array.any()
     with rejected("ramp: there are 0 tables now, 1 then"):
         next(press.walk(LEVELS, checkpoint=file))
-
-
-def test_tables_are_compared_where_the_walk_has_been():
-    """At the corners of both, and at the ends of the way; by more than round-off."""
-    number = constant(0.0)
-    rows = [(0.0, 0.0), (0.5, 1.0), (1.0, 0.0)]
-    (ramp,) = read_ramps(COMM, {number: rows})
-    saved = [ramp.rows]
-
-    def differs(rows, *walked):
-        return difference(saved, read_ramps(COMM, {number: rows}), walked)
-
-    assert not differs(rows, 0.0, 1.0)
-    assert not differs([(t, v * (1 + 1e-14)) for t, v in rows], 0.0, 1.0)
-    assert differs([(t, v * (1 + 1e-10)) for t, v in rows], 0.0, 1.0)
-    # they meet at the ends of the way and differ between
-    assert "at level 0.5 now" in differs([(0.0, 0.0), (1.0, 0.0)], 0.0, 1.0)
-    assert "at level 0.25 now" in differs([(0, 0), (0.25, 0.0), (0.5, 1), (1, 0)], 0.0, 1.0)
-    vector = read_ramps(COMM, {constant((0.0, 0.0)): ROWS})
-    assert "values of table 1 have another shape" in difference(saved, vector, [0.0, 1.0])

@@ -12,7 +12,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 def test_it_is_read_in_a_few_minutes():
     """The first program is seen at once, there is one picture, and small strain is said first."""
     before, python, _ = README.partition("```python")
-    assert len(README.split()) <= 700 and python and len(before.split()) <= 60
+    assert python and len(before.split()) <= 60
     assert len(re.findall(r"!\[", README)) == 1
     assert "small strain" in before and "| | can | cannot |\n" in README
 
@@ -25,15 +25,6 @@ def test_the_program_runs(capsys):
     last = capsys.readouterr().out.splitlines()[-1]
     time, across, along, stress = map(float, re.findall(r"-?[\d.]+(?:e-?\d+)?", last))
     assert time == 0.1 and abs(across) < 1e-3 * abs(along) and along < 0 < stress
-
-
-def test_first_block_holds_exactly_two_commands():
-    blocks = re.findall(r"(?ms)^```(\w*)\n(.*?)^```", README)
-    first = next(text for language, text in blocks if not language)
-    assert first.splitlines() == [
-        "containers/run python3 demos/hertz/hertz.py",
-        "containers/run pytest",
-    ]
 
 
 def test_its_links_lead_somewhere():

@@ -8,14 +8,13 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.problem.contacts import Contacts
-from dolfinx_mortar.report.resolution import oscillation
 from tests.cases.ball import create_problem
-from tests.cases.finite_sliding import indentation
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
 from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
+
+pytestmark = pytest.mark.mpi
 
 
 def said(report):
@@ -26,7 +25,6 @@ def said(report):
     return [int(match[1]) for match in found if match]
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(("depth", "few"), [(1e-3, True), (0.02, False)])
 def test_few_nodes_of_a_disc(depth, few):
     """As many as are active, which is what the error of the peak goes by."""
@@ -40,7 +38,6 @@ def test_few_nodes_of_a_disc(depth, few):
     assert (abs(found["pressure"].max() / hertz.peak_pressure - 1.0) < 0.03) != few
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("cell", "few"), quick([("hexahedron", 13), ("tetrahedron", 9)], ("tetrahedron", 9))
 )
@@ -56,7 +53,6 @@ def test_a_quarter_stands_for_the_whole(cell, few):
     assert not said(dm.newton(problem))
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(("slope", "times"), [(0.01, 1), (0.0, 2)])
 def test_a_roller_is_no_plane_of_symmetry(slope, times):
     """Where a side ends at an angle, no node stands for two; at a right angle all but one do."""
@@ -74,28 +70,3 @@ def test_a_roller_is_no_plane_of_symmetry(slope, times):
     report = dm.newton(blocks.problem([contact], bcs=[*blocks.bcs(), held]))
     active = report.certificate.active_nodes
     assert active > 2 and said(report) == [1 + times * (active - 1)]
-
-
-def amplitude(problem, contact):
-    """Return the oscillation of the pressures that a contact has found."""
-    (link,) = problem.system.links
-    multipliers = np.zeros(problem.n)
-    multipliers[link.nodes] = contact.multiplier
-    return oscillation(link, Contacts(multipliers > 0.0, multipliers))
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(("slave", "oscillate"), [("tool", True), ("block", False)])
-def test_pressures_of_a_finer_and_stiffer_slave_oscillate(slave, oscillate):
-    """A disc ten times as stiff as the block, facets .52 times as long: forces are the same."""
-    case = indentation(
-        n=((64, 16), (96, 8)), moduli=(1.0, 10.0), slave=slave, radius=1.0, length=4.0, height=2.0,
-        start=2.0, strain="small", surface="smooth",
-    )  # fmt: skip
-    case.held.value[:] = (0.0, -0.1)
-    report = dm.newton(case.problem)
-    found = [note for note in report.notes if "oscillate" in note]
-    assert bool(found) == oscillate and not said(report)
-    assert abs(case.contact.force[1]) == pytest.approx(0.0616, rel=0.01)
-    if oscillate:
-        assert amplitude(case.problem, case.contact) == pytest.approx(0.26, abs=0.01)

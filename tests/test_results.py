@@ -11,9 +11,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh
-from tests.cases.meshes import BOTTOM, LEFT, TOP, _block
+from tests.cases.meshes import BOTTOM, TOP, _block, _tag
 from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
-from tests.test_stack import BESIDE, P, at, beside, press, tag_facets
+from tests.test_stack import BESIDE, P, press, press_beside
 
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "multiplier")
 
@@ -45,7 +45,6 @@ def test_asking_before_the_first_step():
 def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
     """It would be the results of the other one; what has been written stays."""
     pytest.importorskip("matplotlib")
-    folder = folder
     case = PressedBlocks()
     contact = case.contact()
     first = case.problem([contact])
@@ -79,26 +78,10 @@ def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
 
 
 @pytest.mark.mpi
-def test_nodal_values_of_a_tie():
-    """Pulled by 2: the normal traction is -2 at all slave nodes, in order of x."""
-    case = PressedBlocks()
-    tie = case.tie()
-    bcs = [case.roller(BOTTOM, 1), case.roller(LEFT, 0)]
-    dm.newton(case.problem([tie], bcs=bcs, loads=case.pull((0.0, 2.0))), rtol=1e-11)
-    nodes = tie.gather(case.u)
-    assert nodes["pressure"] == pytest.approx(np.full(len(nodes["X"]), -2.0), rel=1e-9)
-    assert (np.diff(nodes["X"][:, 0]) > 0).all() and (nodes["active"] == 1.0).all()
-    moved = COMM.allreduce(np.abs(nodes["x"] - nodes["X"]).max())
-    assert 0.0 < moved < 0.1
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_a_node_on_two_slave_sides_counts_once(kind):
     """Under a uniform pressure the merged field is that pressure at all slave nodes."""
-    mesh, tags = beside(np.linspace(0, 1, 5), np.linspace(1, 2, 4))
-    sides = BESIDE["slave twice"]
-    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=s, master=m) for s, m in sides])
+    problem = press_beside(kind, BESIDE["slave twice"], (13, 1.0))
     fields = problem.output_fields()
     slave = np.logical_or(*(side.on_slave for side in problem.system.sides))
     for name, expected in (("pressure", P), ("status", 1.0), ("gap", 0.0)):
@@ -121,14 +104,15 @@ def cracked():
     number[len(lower[0]) + joined] = len(lower[0]) - len(joined) + np.arange(len(joined))
     kept, number = np.unique(number, return_inverse=True)
     cells = number[np.concatenate([lower[1], upper[1] + len(lower[0])])]
+    x, y = points[kept].T
+    marks = [(1, y == -1.0), (2, y == 1.0), (5, x == 0.0)]
+    below, lips = kept < len(lower[0]), (y == 0.0) & (x <= TIP)
+    marks += [(20, lips & below), (11, lips & (~below | (x == TIP)))]
     if COMM.rank > 0:  # the first rank has all, dolfinx distributes
         cells, kept = cells[:0], kept[:0]
     element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
     mesh = create_mesh(COMM, cells, x=points[kept], e=element)
-    block = (mesh.topology.original_cell_index >= len(lower[1])).astype(int)
-    marks = {1: (None, at(-1.0)), 2: (None, at(1.0)), 5: (None, lambda x: np.isclose(x[0], 0))}
-    marks |= {20: (0, at(0.0, 0, TIP)), 11: (1, at(0.0, 0, TIP))}
-    return mesh, tag_facets(mesh, block, marks)
+    return mesh, _tag(mesh, 1, [(tag, lambda i, on=on: on[i]) for tag, on in marks])
 
 
 @pytest.mark.mpi
@@ -137,7 +121,7 @@ def cracked():
 def test_forces_on_the_faces_of_a_crack(sides, kind):
     """The tip is on both faces and gets a force on each; the whole of a face has P times TIP."""
     mesh, tags = cracked()
-    problem, _ = press(mesh, tags, lambda t: [kind(t, slave=sides[0], master=sides[1])])
+    problem = press(mesh, tags, lambda t: [kind(t, slave=sides[0], master=sides[1])], (2,), (5,), 1)
     (interface,) = problem.interfaces
     (side,) = problem.system.sides
     assert COMM.allreduce(int((side.on_slave & side.on_master)[: side.n_owned].sum())) == 1
@@ -178,6 +162,11 @@ def test_gap_is_a_distance_or_flagged():
     assert np.array_equal(facing == 1.0, slave & ~np.isnan(gap))
     assert np.array_equal(fields["gap"].x.array[facing == 1.0], gap[facing == 1.0])
     assert not fields["gap"].x.array[facing == 0.0].any()
+    nodes = contact.gather(problem.u)
+    x = nodes["X"][:, 0]
+    beyond = x >= 1.35 - 1e-9  # the facet that holds the end of the master reaches no further
+    assert (nodes["pressure"][beyond] == 0.0).all() and np.isnan(nodes["gap"][beyond]).all()
+    assert (nodes["pressure"][x < 1.1] > 0.0).all()
     for expected in (0.0, 1.0):
         assert COMM.allreduce(int((facing[slave] == expected).sum())) > 0
 

@@ -211,7 +211,6 @@ def sides(tag=END, count=1, **options):
     [
         ({"reference": (0.0,)}, ("reference", "2 finite")),
         ({"load": {"z": 1.0}}, ("load", "'moment'")),
-        ({"load": {"x": np.nan}}, ("load['x'] is nan", "finite number")),
         ({"tag": 77}, ("77", "marks no facet")),
         ({}, (f"RigidSide({END})", "Dirichlet conditions hold 5 of its nodes")),
         ({"count": 2}, (f"RigidSide({END})", "an earlier interface has 5 of its nodes")),

@@ -4,6 +4,7 @@
 import time
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -87,8 +88,23 @@ def test_sums_at_nodes():
 
 
 def test_sums_of_triplets():
-    """Also where PETSc plans the exchange anew."""
+    """Of entries of all ranks, repeated, some zero; also where PETSc plans the exchange anew."""
     layout, rng = dealt_out().V.dofmap.index_map, np.random.default_rng(COMM.rank)
-    rows, columns = rng.integers(0, layout.size_global, (2, 400))
-    values = rng.normal(size=400)
-    check_same(lambda: Triplets(COMM, layout, rows // 4, columns // 4).sum(values))
+    n = layout.size_global
+    rows, columns = (rng.integers(0, n, (2, 400)) // 4).astype(PETSc.IntType)
+    given, values = (rows.copy(), columns.copy()), rng.normal(size=400)
+    values[columns < 3] = 0.0
+    triplets = Triplets(COMM, layout, rows, columns)
+    assert (rows == given[0]).all() and (columns == given[1]).all()  # PETSc sorts copies
+    check_same(lambda: Triplets(COMM, layout, rows, columns).sum(values))
+    dense, count = np.zeros((2, n, n))
+    np.add.at(dense, (rows, columns), values)
+    np.add.at(count, (rows, columns), 1.0)
+    total, count = (COMM.allreduce(a)[slice(*layout.local_range)] for a in (dense, count))
+    found = triplets.sum(values)
+    assert len(found) == np.count_nonzero(count)  # those that are zero stay
+    assert found == pytest.approx(total[triplets.rows, triplets.columns], abs=1e-12)
+    assert (triplets.matrix(found).getValuesCSR()[2] == found).all()
+    for row in (-1, n):  # PETSc does not look, it would write past the end
+        with pytest.raises(AssertionError):
+            Triplets(COMM, layout, [row], [0])

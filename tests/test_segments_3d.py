@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry import facets
-from dolfinx_mortar.geometry.elements import QUAD4
+from dolfinx_mortar.geometry.facets import QUAD4
 from tests.cases.meshes_3d import rotation
 from tests.cases.surfaces import Side, assemble, grid, joined, ring, triangles
 

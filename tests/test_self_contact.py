@@ -26,6 +26,7 @@ from tests.cases.folds import (
     closed_ring,
     create_fold,
     create_hairpin,
+    create_ring,
     create_sheet,
     hairpin,
     ring,
@@ -40,8 +41,8 @@ COMM = MPI.COMM_WORLD
 @pytest.mark.mpi
 def test_a_ring_closes_on_itself():
     """Nothing is near at first; then it is found before it touches, and forces balance."""
-    found = closed_ring(COMM, "graph")
-    alone = COMM.bcast(closed_ring(MPI.COMM_SELF, "graph") if COMM.rank == 0 else None)
+    found = closed_ring(COMM)
+    alone = COMM.bcast(closed_ring(MPI.COMM_SELF) if COMM.rank == 0 else None)
     np.testing.assert_allclose(found, alone, rtol=1e-8, atol=1e-12)
 
 
@@ -84,24 +85,6 @@ def test_of_nearest_facets_one_is_the_slave_whatever_their_numbers(seed, counts)
         nodes[keys][order], x[order], place[b[shuffled]], place[a[shuffled]], distance[shuffled]
     )
     assert np.array_equal(again, slave[order])
-
-
-def straight(compression=0.0):
-    """Return the skin of a straight strip, and a displacement that compresses it across."""
-    mesh, tags = create_sheet(MPI.COMM_SELF, (10, 2), lambda s: s * [2.0, 0.2])
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u = fem.Function(V)
-    u.interpolate(lambda x: np.stack([0.0 * x[0], -compression * x[1]]))
-    return V, create_surface(V, tags, SKIN, "skin"), u
-
-
-@pytest.mark.parametrize("compression", [0.0, 0.3, 0.7])
-def test_the_other_side_of_a_body_is_no_partner(compression):
-    """Nor is the facet beside; also where the strip has become thinner than half of what it was."""
-    _, skin, u = straight(compression)
-    pairing = create_pairing(skin, skin, u)
-    assert len(pairing.pairs) == 0 and not pairing.roles.slave.any()
-    assert not outside_margin(pairing, u)
 
 
 def test_a_notch_is_paired_but_for_the_facets_that_share_its_tip():
@@ -224,3 +207,51 @@ def test_only_contacts_may_meet_themselves():
     contact = dm.Contact(tags, slave=SKIN, master=SKIN)
     assert contact.meets_itself and repr(contact) == "Contact(slave=1, master=1)"
     assert not dm.Contact(tags, slave=1, master=2).meets_itself
+
+
+# -- folds at finite strain: with friction, in space
+
+BAR = 1e-6
+
+
+def close(fold, ways, **options):
+    return [fold.close(way, **options) for way in ways]
+
+
+@pytest.mark.slow
+@pytest.mark.mpi
+def test_friction_of_a_surface_on_itself():
+    """Coulomb's law holds in a hairpin that is closed and then sheared."""
+    fold = create_hairpin(friction=0.3)
+    reports = close(fold, (0.3, 0.42, 0.44, 0.46), rtol=1e-9)
+    values = fold.contact.gather(fold.problem.u)
+    on = values["pressure"] > 0.0
+    traction = np.linalg.norm(values["traction"], axis=1)
+    assert on.sum() >= 5 and (traction[on] > 0.0).any()
+    limit = 0.3 * values["pressure"][on]
+    assert (traction[on] <= limit + 1e-6 * limit.max()).all()
+    assert reports[-1].certificate.force_balance < BAR
+    above, below = fold.reactions
+    assert np.abs(above + below).max() < BAR * np.abs(above).max()
+
+
+def ring_in_space(comm):
+    """Close a ring in space; return its force, what a pole carries, and nodes in contact."""
+    fold = create_ring(comm, cells=(20, 1, 2))
+    reports = close(fold, (0.8, 1.3, 1.45, 1.6), rtol=1e-9)
+    assert max(r.certificate.crossing for r in reports) == 0.0
+    above, below = fold.reactions
+    assert np.abs(above + below)[:2].max() < BAR * abs(above[1])
+    assert reports[-1].certificate.force_balance < BAR
+    assert reports[-1].certificate.moment_balance < 5 * BAR  # sides that are not parallel
+    force = fold.contact.force
+    assert fold.active > 3 and abs(force[0]) < BAR * abs(force[1])
+    return np.array([force[1], above[1], fold.active])
+
+
+@pytest.mark.slow
+@pytest.mark.mpi
+def test_a_ring_in_space():
+    found = ring_in_space(COMM)
+    alone = COMM.bcast(ring_in_space(MPI.COMM_SELF) if COMM.rank == 0 else None)
+    np.testing.assert_allclose(found, alone, rtol=1e-7)

@@ -209,20 +209,3 @@ def test_a_body_that_is_wedged_fast():
     case.exact.x.array[:] -= 0.3 * np.tile(t, len(case.exact.x.array) // 2)
     with failing(problem, "wedges a body fast"):
         dm.newton(problem)
-
-
-def test_a_tool_that_a_force_presses():
-    """Its load balances the friction of nodes on rollers, too, while it slides along the slave."""
-    case, mu = Hydrostatic(deg(-25)), 0.2
-    case.bcs.append(case.hold(1, TOP, UPPER))
-    load = fem.Constant(case.mesh, case.force[1])
-    tool = case.interface(TOOL, friction=mu, load={"y": load})
-    problem = case.problem(tool, geometry="reference")
-    dm.newton(problem, rtol=1e-10)
-    problem.commit()
-    assert tool.tool_force[1] == pytest.approx(-case.force[1], rel=1e-8)
-    tool.position.value[0] += 0.3
-    dm.newton(problem, rtol=1e-10)
-    F, n = tool.force, case.normal
-    assert F[1] == pytest.approx(case.force[1], rel=1e-8)
-    assert np.linalg.norm(F - (F @ n) * n) == pytest.approx(mu * (F @ n), rel=1e-8)

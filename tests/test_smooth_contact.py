@@ -8,14 +8,16 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
+from dolfinx_mortar.mortar.curvature_correction import find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.surface import create_surface, thickness_stretches
+from dolfinx_mortar.report import notes
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.cases.hertz import create_case
 from tests.cases.meshes import TOP_OF_LOWER
 from tests.cases.mortar import largest
 from tests.cases.pressed_blocks import rejected
-from tests.cases.shells import to_arc, to_sphere
-from tests.cases.two_bodies import CELLS, COMM, create_problem
+from tests.cases.shells import RADIUS, to_arc, to_sphere
+from tests.cases.two_bodies import CELLS, COMM, TwoBodies, create_problem
 from tests.test_smooth_tie import sides
 
 # with 384 and 512 facets, either slave; between 530.2 and 531.4 on five pairs of meshes, on which
@@ -163,8 +165,8 @@ def test_sides_that_part_are_not_warned_of():
     assert warned(case.problem) == []
 
 
-BAD = [("surface", bad, "'smooth' or 'facets'") for bad in ("spline", None, 1)]
-BAD += [("feature_angle", bad, "degrees") for bad in (0.0, 181.0, np.nan, "40", True, None)]
+BAD = [("surface", bad, "'smooth' or 'facets'") for bad in ("spline", None)]
+BAD += [("feature_angle", bad, "degrees") for bad in (0.0, 181.0, "40", True)]
 
 
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
@@ -174,3 +176,113 @@ def test_bad_surface_or_angle(name, bad, remedy, kind):
     tags = mesh.meshtags(mesh.create_unit_square(MPI.COMM_SELF, 1, 1), 1, none, none)
     with rejected(f"{name} is", remedy):
         kind(tags, slave=1, master=2, **{name: bad})
+
+
+# -- facets that approximate curved sides badly: before a step
+
+
+def test_nothing_to_say_of_smooth_surfaces():
+    problem = create_pin((64, 96), True, surface="smooth").problem
+    (warning,) = problem.audit().warnings
+    assert warning.startswith("contact alone holds the body around [")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("clearance", [0.1, 4.0, 6.0])
+def test_how_far_curvatures_are_apart(clearance):
+    """For circles with nodes anywhere on them, c / R."""
+    problem = create_pin((48, 72), False, clearance=clearance, surface="facets").problem
+    problem.audit()
+    (link,) = problem.system.links
+    smooth = find_smooth_sides(link.pairing, link.sides.fixed, link.interface.feature_angle)
+    parting = find_parting(link.pairing, link.mortar[1].segments, problem.u, smooth)
+    assert parting == pytest.approx(clearance / 10.0, rel=1e-3)
+
+
+@pytest.mark.mpi
+def test_the_audit_counts_nodes_on_edges():
+    """Whole skins but for bottom and top: two corners of each block."""
+    case = TwoBodies(whole=True, n_lower=(5, 3), n_upper=(4, 3))
+    for angle, nodes in ((40.0, 4), (150.0, 0)):
+        audit = case.problem([case.interface(feature_angle=angle)]).audit()
+        assert f"{nodes} nodes on edges of {angle:g} degrees or more" in str(audit)
+        assert audit.interfaces[0].edges.without_normal == 0
+    audit = case.problem([case.interface(surface="facets")]).audit()
+    assert audit.interfaces[0].edges is None and "edges" not in str(audit)
+
+
+# -- after a step
+
+
+@pytest.mark.parametrize(
+    ("counts", "swap", "spoilt"),
+    [((64, 96), True, True), ((96, 64), False, True), ((64, 96), False, False)],
+)
+def test_facets_that_spoil_the_pressures_are_told_of(counts, swap, spoilt):
+    """Where the peak is wrong by more than a quarter; and not where it is right to 6 %."""
+    report, found = create_pin(counts, swap, surface="facets").solve()
+    error = abs(found["pressure"].max() / PEAK - 1.0)
+    assert error > 0.25 if spoilt else error < 0.06
+    assert any("facets of curved" in note for note in report.notes) == spoilt
+
+
+@pytest.mark.mpi
+def test_a_note_is_logged_once(caplog):
+    """Not in every step that has it, with other numbers; each report keeps it."""
+    pin = create_pin((64, 96), True, surface="facets")
+    with caplog.at_level("WARNING", logger="dolfinx_mortar.report"):
+        for _ in range(3):
+            report, _ = pin.solve()
+            assert any("are known to" in note for note in report.notes)
+            pin.problem.commit()
+            pin.problem.u.x.array[:] *= 1.01
+    told = [r for r in caplog.records if "are known to" in r.getMessage()]
+    assert len(told) == (COMM.rank == 0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("pressure", "told"), [(10.0, True), (-10.0, False)])
+def test_facets_that_keep_sides_apart_are_told_of(pressure, told):
+    """Rings that fit, of which the inner one is pressed against the outer one, or away from it."""
+    options = {"overlap": 0.0, "pressure": pressure, "surface": "facets"}
+    case = create_shrink_fit((48, 68), False, **options)
+    report = dm.newton(case.problem)
+    assert not case.contact.pressure.x.array.any()
+    assert any("forces may be missing" in note for note in report.notes) == told
+    assert bool(report.notes) == told
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("swap", "pressure"), [(False, 1.0), (True, 10.0), (True, 1000.0)])
+def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
+    """Rings that fit, where the largest or least pressure is wrong by more than a fifth."""
+    case = create_shrink_fit((48, 68), swap, overlap=0.0, pressure=pressure)
+    report = dm.newton(case.problem)
+    found = case.contact.gather(case.problem.u)["pressure"] / case.pressure
+    spoilt = bool(np.abs(found - 1.0).max() > 0.2)
+    assert spoilt == (pressure < 100.0)
+    assert (
+        any("smooth surfaces through the nodes are known to" in n for n in report.notes) == spoilt
+    )
+    assert not any("forces and moments are" in note for note in report.notes)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cell", ["ring", *CELLS[2:]])
+@pytest.mark.parametrize("swap", [False, True])
+def test_what_heights_miss(cell, swap):
+    """It bounds the gaps of sides that fit, the coarser or the finer one as slave."""
+    if cell == "ring":
+        problem, reach = create_shrink_fit((48, 36), swap, overlap=0.0).problem, np.inf
+    else:
+        reach = 0.16 * RADIUS  # normals lean at the rims
+        domain, tags = sides(COMM, cell, to_sphere, jitter=0.0)
+        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        problem = create_problem(V, [dm.Contact(tags, slave=3 + swap, master=4 - swap)])
+    problem.update_geometry()
+    (link,) = problem.system.links
+    inner = np.abs(problem.X[link.nodes, :2]).max(axis=1) < reach
+    found = [link.gaps(problem.positions())[inner], notes._missed(link, None)]
+    gaps, missed = (np.concatenate(COMM.allgather(part)) for part in found)
+    # the change of normals over the distance is left out
+    assert np.abs(gaps).max() < 1.5 * np.abs(missed).max()

@@ -11,7 +11,6 @@ import pytest
 
 import dolfinx_mortar as dm
 from tests.cases.ball import STEEL, create_problem
-from tests.cases.hertz import create_case, create_mesh
 
 DEPTH, RADIUS = 0.05, 8.0
 # N, by geometry and slave side. That of a ball on frozen surfaces depends on the normals there:
@@ -82,28 +81,3 @@ def test_coarse_contact_is_near_hertz(cell):
     """Two to three facets across the contact radius: pressure and radius to a tenth."""
     force, radius, peak = solve(0.25, cell=cell)
     assert (radius, peak) == pytest.approx(hertz(force), rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cell", "geometry", "slave"),
-    [("triangle", "reference", "ball"), ("quadrilateral", "updated", "block")],
-)
-def test_sections_of_second_order(cell, geometry, slave):
-    """The section of the ball and a round block: the force to 0.05 %."""
-    mesh = create_mesh("graded", 0.05, half=True, block=(36.0, 10.0), cell=cell)
-    side = "disc" if slave == "ball" else slave
-    options = {"slave": side, "geometry": geometry, "kinematics": "axisymmetric"}
-    case = create_case(mesh, STEEL, degree=2, **options)
-    case.press(DEPTH)
-    dm.newton(case.problem)
-    force, found = case.force, case.contact.gather(case.problem.u)
-    assert force == pytest.approx(LIMITS[geometry, slave], rel=5e-4)
-    order = np.argsort(np.abs(found["X"][:, 0]))
-    assert found["active"][order[0]] == 1.0
-    near = found["pressure"][order[:3]]
-    assert near[0] == pytest.approx(near[1:].mean(), rel=1e-12)
-    radius, peak = case.fit()
-    # pressures per present area: under Hertz' ellipsoid over the present circle, which is smaller
-    expected = 1.5 * force / (np.pi * radius**2) if geometry == "updated" else hertz(force)[1]
-    assert peak == pytest.approx(expected, rel=0.01)

@@ -6,17 +6,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import basix.ufl
 import dolfinx
-from dolfinx_mortar.geometry.elements import QUAD4
-from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
+from dolfinx_mortar.geometry.facets import QUAD4, Facets, distortions
 from dolfinx_mortar.mortar.surface import (
     _check_shapes,
     coordinates,
     create_surface,
-    facets_at,
     nodal_normals,
 )
+from tests.cases import polylines
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
 from tests.cases.mortar import space
@@ -25,28 +23,6 @@ from tests.cases.pressed_blocks import rejected
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 pytestmark = pytest.mark.mpi
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("partition", PARTITIONS)
-def test_facets_point_outwards_and_occur_once(cell, partition):
-    """The length of each side, and the flux of x through all sides: twice the area."""
-    angle = 0.4
-    mesh, _, tags = two_blocks(COMM, (7, 2), (5, 2), cell=cell, angle=angle, partition=partition)
-    V = space(mesh)
-    flux = 0.0
-    for tag, length, count in ((1, 1, 7), (2, 1, 5), (3, 1, 7), (4, 1, 5), (5, 2, 4), (6, 2, 4)):
-        surface = create_surface(V, tags, tag, "slave")
-        x = coordinates(surface, None)[surface.facets]
-        size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-        normals = facet_normals(facets_at(surface, surface.X))
-        assert COMM.allreduce(len(surface.facets)) == count
-        assert COMM.allreduce(size.sum()) == pytest.approx(length, abs=1e-13)
-        flux += COMM.allreduce((size * (normals * x.mean(axis=1)).sum(axis=1)).sum())
-        if tag == 3:
-            expected = np.array([-np.sin(angle), np.cos(angle)])
-            assert np.abs(normals - expected).max(initial=0) < 1e-13
-    assert flux == pytest.approx(4.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("partition", PARTITIONS)
@@ -64,12 +40,7 @@ def test_nodal_normals_of_the_deformed_surface(partition):
     surface = create_surface(V, tags, 3, "slave")
     x = coordinates(surface, u)
     line = np.stack([lines, 0.3 * np.sin(5 * lines)], axis=1)
-    t = np.diff(line, axis=0)
-    n = np.stack([-t[:, 1], t[:, 0]], axis=1) / np.linalg.norm(t, axis=1)[:, None]
-    total = np.zeros_like(line)
-    total[:-1] += n
-    total[1:] += n
-    total /= np.linalg.norm(total, axis=1)[:, None]
+    total = polylines.nodal_normals(line[::-1], polylines.chain(7))[::-1]
     where = np.searchsorted(lines, surface.X[:, 0] - 1e-9)
     assert np.abs(x - line[where]).max(initial=0) < 1e-14
     assert np.abs(nodal_normals(surface, x) - total[where]).max(initial=0) < 1e-13
@@ -99,42 +70,6 @@ def test_tags_given_by_one_rank_only():
     V = space(mesh)
     one, other = create_surface(V, tags, 3, "slave"), create_surface(V, sparse, 3, "slave")
     assert (one.entities == other.entities).all()
-
-
-def interior_tags(mesh):
-    """Tag all facets, also those inside."""
-    mesh.topology.create_entities(1)
-    facets = np.arange(mesh.topology.index_map(1).size_local, dtype=np.int32)
-    return dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
-
-
-P1 = basix.ufl.element("Lagrange", "triangle", 1)
-ELEMENTS = [("Lagrange", 3, (2,)), ("DG", 1, (2,)), basix.ufl.mixed_element([P1, P1])]
-
-
-def test_bad_arguments_raise_on_all_ranks():
-    (mesh, cells, tags), (_, _, others) = (two_blocks(COMM, (4, 2), (3, 2)) for _ in range(2))
-    V, no_space = space(mesh), ["continuous vector Lagrange element of degree 1"]
-    prisms = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
-    prisms.topology.create_entities(2)
-    none = dolfinx.mesh.meshtags(prisms, 2, *np.zeros((2, 0), dtype=np.int32))
-    curved, _, of_curved = two_blocks(COMM, (4, 2), (3, 2), order=2)
-    lost, _, of_lost = two_blocks(COMM, (4, 2), (3, 2))
-    lost.geometry.x[:, 0] = np.nan
-    for given, tag, words in (
-        ((V, tags), 17, ["slave=17 marks no facet", "[1, 2, 3, 4, 5, 6]"]),
-        ((V, interior_tags(mesh)), 3, ["slave=3", "inside the mesh"]),
-        ((V, others), 3, ["slave=3", "another mesh"]),
-        ((V, cells), 1, ["dimension 2"]),
-        ((space(prisms), none), 3, ["prism in 3D are not supported"]),
-        ((space(curved), of_curved), 3, ["cells of the mesh are of degree 2"]),
-        ((space(lost), of_lost), 3, ["not finite"]),
-        *(((dolfinx.fem.functionspace(mesh, e), tags), 3, no_space) for e in ELEMENTS),
-        *(((V, tags), t, [f"slave is {t!r}: "]) for t in (2**31, True, "3")),
-    ):
-        with rejected(*words):
-            create_surface(*given, tag, "slave")
-    assert create_surface(V, tags, np.int64(3), "slave").tag == 3
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 """The sweep: random problems, and an independent check of their solutions."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tests.sweep.draws import KINDS
 from tests.sweep.draws import draw as draw_of_sweep
 from tests.sweep.problems import COMM, create
 from tests.sweep.recheck import residuals
-from tests.sweep.run import LARGE, LIMIT_LOAD, TOLERANCE, Outcome, flows, is_large
+from tests.sweep.run import TOLERANCE, flows, is_large
 from tests.sweep.run import run as run_of_sweep
 
 SLOW_SEEDS = {
@@ -21,11 +22,7 @@ SLOW_SEEDS = {
     "sphere": (0, 5, 8, 10, 14, 15, 16, 17, 18, 23, 25, 27, 30, 35, 302),
     "pile": (0, 2, 4, 10, 22, 23, 39, 41, 49, 53, 65, 79, 80, 87, 95, 103),
     "boxes3": (1, 2, 11, 18, 24, 26, 30, 36, 39, 47, 52, 54, 57, 225, 286),
-    "ring": tuple(range(15)),
-    "heated": tuple(range(15)),
-    "second": tuple(range(15)),
-    "second3": tuple(range(15)),
-    "mixed": tuple(range(15)),
+    **dict.fromkeys(("ring", "heated", "second", "second3", "mixed"), range(15)),
     "finite": (0, 1, 2, 5, 8, 9, 10, 11, 12, 14, 15, 16, 17, 20, 22, 24, 25, 28, 5013, 5026),
     "friction": (5, 6, 7, 8, 18, 28, 31, 33, 37, 51, 79, 83, 94, 96, 97, 105, 131),
 }
@@ -73,21 +70,27 @@ def test_a_random_problem_on_ranks():
     assert outcome.steps == 3
 
 
+SUMS = {
+    "hertz": 143944.2486127631,
+    "sphere": 290163.42327885923,
+    "pile": 177073.16153551554,
+    "boxes3": 308384.09933415835,
+    "ring": 26767.201523092554,
+    "heated": 473064.52768951195,
+    "second": 47491.82821590792,
+    "second3": 173337.72568098147,
+    "mixed": 64527.2532805347,
+    "friction": 163639.1217375817,
+    "finite": 712.8524878793728,
+}
+
+
 def test_seeds_keep_their_problems():
-    """Numbers that are drawn last, or close to it, so that they hang on all draws before."""
-    found = {kind: draw_of_sweep(kind, 7) for kind in KINDS}
-    assert found["hertz"]["tilt"] == pytest.approx(-0.17081478105864062, rel=1e-14)
-    assert found["sphere"]["laws"][2].nu == pytest.approx(0.3836464734741321, rel=1e-14)
-    assert found["pile"]["tilt"] == pytest.approx(-0.161973928770342, rel=1e-14)
-    assert found["boxes3"]["depth"] == pytest.approx(0.002564446269926025, rel=1e-14)
-    assert found["heated"]["heat"][1] == pytest.approx(0.0006099436086263139, rel=1e-14)
-    assert found["ring"]["mesh"]["radius"] == pytest.approx(6.475964915480901, rel=1e-14)
-    assert found["second"]["laws"][2].a == pytest.approx(122.241633358829, rel=1e-14)
-    assert found["second3"]["laws"][1].Y == pytest.approx(4.2045726938571795, rel=1e-14)
-    assert found["mixed"]["laws"][2].yaw == pytest.approx(0.40989490828375985, rel=1e-14)
-    assert found["friction"]["path"][-1][2] == pytest.approx(1.0, rel=1e-14)
-    assert found["finite"]["path"][-1][2] == pytest.approx(1.0, rel=1e-14)
-    assert [found[kind]["steps"] for kind in KINDS] == [1, 1, 3, 1, 1, 3, 1, 3, 1, 7, 3]
+    """The sum of all numbers that are drawn."""
+    for kind, expected in SUMS.items():
+        drawn = re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e-?\d+)?", repr(draw_of_sweep(kind, 7)))
+        assert sum(map(float, drawn)) == pytest.approx(expected, rel=1e-14), kind
+    assert list(SUMS) == list(KINDS)
 
 
 def solved(kind, seed):
@@ -197,22 +200,3 @@ def test_the_command_prints_a_table_and_writes_lines(tmp_path, capsys):
     (record,) = map(json.loads, file.read_text().splitlines())
     assert (record["kind"], record["seed"], record["steps"]) == ("pile", 7, 3)
     assert seeds("3:5") == range(3, 5)
-
-
-def test_the_table_counts_excuses_apart():
-    outcomes = [
-        Outcome("pile", 1, {}, iterations=[2]),
-        Outcome("pile", 2, {}, failure="A\nB", excuse=LIMIT_LOAD),
-        Outcome("pile", 3, {}, failure="C"),
-        Outcome("pile", 4, {}, failure="D", excuse=LARGE),
-        Outcome("pile", 5, {}, failure="E", excuse=LARGE),
-    ]
-    lines = table(outcomes).splitlines()
-    assert lines[0].split()[2:8] == ["failed", "limit", "loads", "beyond", "small", "strain"]
-    assert lines[1].split()[:7] == ["pile", "5", "1", "1", "2", "0", "0"]
-    assert lines[2:] == [
-        "limit load: pile 2, 0 steps done: A",
-        "FAILED: pile 3, 0 steps done: C",
-        "beyond small strain: pile 4, 0 steps done: D",
-        "beyond small strain: pile 5, 0 steps done: E",
-    ]

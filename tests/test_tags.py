@@ -92,7 +92,6 @@ def test_integrals_that_would_be_lost_are_refused(kind, choose, words):
     [
         ("bal", ["slave is 'bal': no such name; did you mean 'ball'?", "'plate' (3), 'ball' (4)"]),
         ("Q", ["slave is 'Q': no such name. There are 'plate' (3), 'ball' (4), 'plates' (99)"]),
-        ("", ["slave is '': no such name"]),
     ],
 )
 def test_a_mistyped_name_lists_the_names(given, words):

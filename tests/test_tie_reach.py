@@ -111,9 +111,7 @@ def test_who_is_out_of_reach_claims_no_node():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "within", [0.0, -1.0, np.nan, True, "near", [1.0], 1j, pytest.param(10**400, id="huge")]
-)
+@pytest.mark.parametrize("within", [0.0, np.nan, True, "near", pytest.param(10**400, id="huge")])
 def test_what_is_no_distance(within):
     with pytest.raises(ValueError, match=r"within is .*a length > 0"):
         tied(within=within)

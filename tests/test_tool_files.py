@@ -122,11 +122,10 @@ def test_tools_are_where_they_were(folder, create):
         assert min(points[:, 0].min() for points, _, _ in found.values()) >= -1e-12
 
 
-@pytest.mark.parametrize(("stop", "every"), [(2, 1), (1, 2)])
-def test_after_a_restart(folder, stop, every):
+def test_after_a_restart(folder):
     """It goes on where the results do, also where the checkpoint knows less than the files."""
     with pytest.raises(SystemExit):
-        walk(folder, in_plane(), stop, every)
+        walk(folder, in_plane(), stop=1, every=2)
     COMM.barrier()
     made = in_plane()
     check(folder, walk(folder, made), made[1])
@@ -156,7 +155,6 @@ def test_a_side_that_leaves_the_box(folder):
         (dm.shapes.Sphere([0.2, 0.1, 0.0], 0.5), np.pi),
         (dm.shapes.Sphere([0.2, 0.1, 0.0], 0.003), np.pi * 0.006**2),
         (dm.shapes.Plane([0.0, 0.0], [0.0, 1.0]), 2.0),
-        (dm.shapes.Plane([5.0, 0.0, 5.0], [0.0, 0.0, 1.0]), 0.0),
     ],
 )
 def test_the_whole_surface_is_found(shape, measure):
@@ -167,7 +165,7 @@ def test_the_whole_surface_is_found(shape, measure):
     cross = np.cross(edges[:, 0], edges[:, -1])
     sizes = np.linalg.norm(edges[:, 0], axis=1) if d == 2 else np.linalg.norm(cross, axis=1) / 2
     assert sizes.sum() == pytest.approx(measure, rel=2e-3)
-    if 0.0 < measure != 2.0:  # closed: Euler's number of points
+    if measure != 2.0:  # closed: Euler's number of points
         assert len(x) == (len(cells) if d == 2 else len(cells) / 2 + 2)
 
 
@@ -194,28 +192,19 @@ def test_picture_in_the_plane():
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(
-    "shape",
-    [
-        dm.shapes.Sphere((0.2, 0.1, 0.4), 0.4),
-        dm.shapes.Triangles(ball(3, 0.4, (0.2, 0.1, 0.4))),
-        dm.shapes.Plane((0.0, 0.0, 50.0), (0.0, 0.0, -1.0)),
-    ],
-)
-def test_picture_in_space(shape, tmp_path):
-    """Surfaces of grids and of triangles, cut off at the box around the body."""
+@pytest.mark.parametrize("kind", [dm.shapes.Sphere, dm.shapes.Triangles])
+def test_picture_in_space(kind, tmp_path):
+    """Surfaces of grids and of triangles, cut off at the box around the body; none out of it."""
     pytest.importorskip("pyvista")
-    case = Box("hexahedron", (2, 2, 1), (-1.0, -1.0, -1.0), (1.0, 1.0, 0.0))
-    file = tmp_path / "tool.png"
-    plotter = dm.plotting.field(case.problem([case.tool(shape)]), "displacement", file=file)
+    case, file = Box("hexahedron", (2, 2, 1), (-1.0, -1.0, -1.0), (1.0, 1.0, 0.0)), "tool.png"
+    centre = np.array((0.2, 0.1, 0.4))
+    shape = kind(ball(3, 0.4, centre)) if kind is dm.shapes.Triangles else kind(centre, 0.4)
+    tools = [case.tool(one) for one in (shape, dm.shapes.Plane((0, 0, 50.0), (0, 0, -1.0)))]
+    plotter = dm.plotting.field(case.problem(tools), "displacement", file=tmp_path / file)
     actors = [actor for actor in plotter.actors.values() if hasattr(actor, "prop")]
-    drawn = [actor for actor in actors if actor.prop.opacity == 0.35]
-    assert file.stat().st_size > 0
-    if isinstance(shape, dm.shapes.Plane):
-        assert not drawn  # out of the picture
-        return
-    (mesh,) = (actor.mapper.dataset for actor in drawn)
-    r = np.linalg.norm(mesh.points - np.array((0.2, 0.1, 0.4)), axis=1)
+    (drawn,) = (actor.mapper.dataset for actor in actors if actor.prop.opacity == 0.35)
+    assert (tmp_path / file).stat().st_size > 0
+    r = np.linalg.norm(drawn.points - centre, axis=1)
     assert r == pytest.approx(np.full(len(r), 0.4), abs=5e-3)
-    assert mesh.points[:, 2].max() == pytest.approx(0.3, abs=5e-3)
+    assert drawn.points[:, 2].max() == pytest.approx(0.3, abs=5e-3)
     plotter.close()

@@ -87,13 +87,13 @@ def test_a_first_step_that_fails_shows_nothing():
 class Counter(Bare):
     """Adds nothing, and counts its commits; may fail when it is asked the next time."""
 
-    linear, fails, alone = True, "", False  # in which method, on the last rank
+    linear, fails = True, ""  # in which method
 
     def energy(self):
         return 0.0
 
     def add_forces(self, F):
-        if self.fails == "add_forces" and (not self.alone or COMM.rank == COMM.size - 1):
+        if self.fails == "add_forces" and COMM.rank == COMM.size - 1:
             raise OSError("no licence")
 
     def commit(self):
@@ -153,7 +153,7 @@ def in_commit(case, patch):
 
 
 def in_forces(case, patch):
-    """Stop when the ledger asks for the loads at the end of the step."""
+    """Stop when the ledger asks for the loads at the end of the step, on the last rank alone."""
     commit = EnergyLedger.commit
 
     def fail(ledger, *given):
@@ -163,15 +163,9 @@ def in_forces(case, patch):
     patch.setattr(EnergyLedger, "commit", fail)
 
 
-def in_forces_of_one_rank(case, patch):
-    """Stop so on one rank alone."""
-    in_forces(case, patch)
-    case.counter.alone = True
-
-
 @pytest.mark.parametrize(
     ("stop", "done"),
-    [(in_ledger, 0), (in_history, 2), (in_commit, 0), (in_forces, 2), (in_forces_of_one_rank, 0)],
+    [(in_ledger, 0), (in_history, 2), (in_commit, 0), (in_forces, 2)],
 )
 def test_a_step_in_time_that_is_stopped_when_it_is_committed(monkeypatch, stop, done):
     """The state is that before, bit by bit, and going on is as if nothing had been."""

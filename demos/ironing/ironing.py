@@ -117,7 +117,7 @@ def main(options: argparse.Namespace) -> None:
     # | `--h 0.075` | 315.8 | 66.6 | 401.7 | 140.7 | 4.3 |
     # | `--friction 0` | 309.9 | 32.7 | 400.8 | 0.2 | 3.7 |
     #
-    # While the tool moves down, the block yields more towards its near free end than towards the
+    # While the tool moves down, the block is softer towards its near free end than towards the
     # far one. This causes a horizontal force, also without friction.
 
     dm.write_summary(options.output / "summary.json", problem, rows, options=vars(options))

@@ -131,7 +131,8 @@ def main(options: argparse.Namespace) -> None:
     # | `--cell triangle --degree 2 --h 20` | 253.2 | 1417.0 | 233 |
     # | `--volumetric full` | 296.7 | 1528.0 | 78 |
     #
-    # The last row locks, as all cells of first order do without `volumetric="reduced"`.
+    # The last row locks, as all cells of first order do without `volumetric="reduced"`. Cells of
+    # second order have `--volumetric full` by default.
     #
     # The work of the plates is integrated by the trapezoidal rule. Up to the error of this rule it
     # equals the stored energy.

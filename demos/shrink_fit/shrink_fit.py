@@ -144,9 +144,9 @@ def create(options: argparse.Namespace) -> Fit:
     # ### Supports
     #
     # The hub is held in the axial direction at one end; the shaft is pulled at the other end. The
-    # edge of the hub's bore is not held: where a support prescribes a direction of a slave node, no
-    # friction acts there in this direction. In 3D both bodies are cut by two planes of symmetry.
-    # The half section needs no other support.
+    # edge of the hub's bore is not held: where a support prescribes the slip of a slave node,
+    # friction grows to its limit over a twentieth of a facet. In 3D both bodies are cut by two
+    # planes of symmetry. The half section needs no other support.
 
     def but_the_edge(x: np.ndarray) -> np.ndarray:
         r = np.hypot(x[0], x[1]) if options.space else x[0]

@@ -11,32 +11,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.csr import Sum, csr_of
 from dolfinx_mortar.common.arrays import Ints
 
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:
     """K in the format AIJ, copied if it has blocks; collective."""
     return K.convert("aij", out=PETSc.Mat()) if "baij" in K.getType() else K
-
-
-class _Sum:
-    """Sum of matrices on the union of their first patterns; collective."""
-
-    def __init__(self) -> None:
-        self._total: PETSc.Mat | None = None
-
-    def fill(self, parts: Sequence[PETSc.Mat]) -> PETSc.Mat:
-        if self._total is None:
-            self._total = parts[0].duplicate(copy=True)
-            for part in parts[1:]:
-                self._total.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            self._total.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            return self._total
-        self._total.zeroEntries()
-        for part in parts:
-            self._total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        return self._total
 
 
 class ProductOfBases:
@@ -46,7 +27,7 @@ class ProductOfBases:
     """
 
     def __init__(self) -> None:
-        self._sum, self._factors = _Sum(), list[_Factor]()
+        self._sum, self._factors = Sum(), list[_Factor]()
 
     def fill(
         self, parts: Sequence[PETSc.Mat], bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]]
@@ -64,7 +45,7 @@ class ProductOfBases:
 
 class _Factor:
     def __init__(self) -> None:
-        self._Ct, self._right, self._product = PETSc.Mat(), _Sum(), _Sum()
+        self._Ct, self._right, self._product = PETSc.Mat(), Sum(), Sum()
         self._AD: PETSc.Mat | None = None
         self._CtR: PETSc.Mat | None = None
 
@@ -203,12 +184,6 @@ class CongruentOperator(OperatorOfBases):
             diagonal.assemble()
         bases = [] if C is None else [(C, C)]
         self.follow_bases([self.half.factor], bases, decoupled, diagonal)
-
-    # called by PETSc
-
-    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y: K is symmetric."""
-        self.mult(mat, x, y)
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Explicit matrix; collective."""

@@ -281,6 +281,26 @@ class BlockEntries:
         return total.ravel()
 
 
+class Sum:
+    """Sum of matrices on the union of their first patterns; collective."""
+
+    def __init__(self) -> None:
+        self._total: PETSc.Mat | None = None
+
+    def fill(self, parts: Sequence[PETSc.Mat]) -> PETSc.Mat:
+        """The sum, always the same matrix."""
+        if self._total is None:
+            self._total = parts[0].duplicate(copy=True)
+            for part in parts[1:]:
+                self._total.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self._total.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            return self._total
+        self._total.zeroEntries()
+        for part in parts:
+            self._total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        return self._total
+
+
 class SumWithProducts:
     """A + sum_i B_i N_i over all ranks, on a fixed pattern; collective."""
 
@@ -291,30 +311,21 @@ class SumWithProducts:
         A: BlockEntries,
         *products: tuple[BlockEntries, PETSc.Mat],
     ) -> None:
-        self._A, rows, columns = A, [A.rows], [A.columns]
-        self._products: list[tuple[SumWithProducts, PETSc.Mat]] = []
+        self._entries, self._A = A, Triplets(comm, layout, A.rows, A.columns)
+        self._products = list[tuple[SumWithProducts, PETSc.Mat]]()
         for B, N in products:
-            sums = SumWithProducts(comm, layout, B)
-            product = sums.zero().matMult(N)
-            start, found, _ = csr_of(product)
-            first, last = product.getOwnershipRange()
-            rows.append(np.repeat(np.arange(first, last), np.diff(start)))
-            columns.append(found.astype(np.int64))
-            self._products.append((sums, product))
-        self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
+            factor = SumWithProducts(comm, layout, B)
+            self._products.append((factor, factor.zero().matMult(N)))
+        self._sum = Sum()
+        self._total = self._sum.fill([self._A.zero(), *(BN for _, BN in self._products)])
 
     def zero(self) -> PETSc.Mat:
         """Matrix with arbitrary values."""
-        return self._total.zero()
+        return self._total
 
-    def fill(
-        self,
-        A: Sequence[Blocks],
-        *products: tuple[Sequence[Blocks], PETSc.Mat],
-    ) -> PETSc.Mat:
+    def fill(self, A: Sequence[Blocks], *products: tuple[Sequence[Blocks], PETSc.Mat]) -> PETSc.Mat:
         """The sum, the same object in every call; collective."""
-        values = [self._A.sum(A)]
-        for (sums, product), (B, N) in zip(self._products, products, strict=True):
-            sums.fill(B).matMult(N, result=product)
-            values.append(csr_of(product)[2])
-        return self._total.fill(np.concatenate(values))
+        parts = [self._A.fill(self._entries.sum(A))]
+        for (factor, product), (B, N) in zip(self._products, products, strict=True):
+            parts.append(factor.fill(B).matMult(N, result=product))
+        return self._sum.fill(parts)

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx_mortar.algebra.csr import Layout
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
@@ -28,13 +29,18 @@ def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
     return largest
 
 
+def largest(comm: MPI.Comm, values: npt.NDArray[Any]) -> float:
+    """Largest size of any entry on any rank, 0 for none; collective."""
+    return float(maximum(comm, np.abs(values).max(initial=0.0))[0])
+
+
 def norm(comm: MPI.Comm, *parts: Floats) -> float:
     """Euclidean norm of concatenated arrays, over all ranks; collective.
 
     >>> norm(MPI.COMM_SELF, np.array([3.0]), np.array([4.0]))
     5.0
     """
-    return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)), op=MPI.SUM)))
+    return float(np.sqrt(comm.allreduce(float(sum(p @ p for p in parts)))))
 
 
 def ratio(value: float | np.floating[Any], scale: float | np.floating[Any]) -> float:
@@ -76,14 +82,14 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
 def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
     """Rows (r, k), by their global numbers, of owned rows (n, k); collective."""
     if comm.size == 1:
-        return np.asarray(values[rows])
+        return values[rows]
     k = values.shape[1]
     source = PETSc.Vec().createMPI((k * len(values), None), bsize=k, comm=comm)
     source.array[:] = values.ravel()
     wanted = PETSc.IS().createBlock(k, rows.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     target = PETSc.Vec().createSeq(k * len(rows), comm=PETSc.COMM_SELF)
     PETSc.Scatter().create(source, wanted, target, None).scatter(source, target)
-    return np.asarray(target.array_r.reshape(-1, k)).copy()
+    return target.array_r.reshape(-1, k).copy()
 
 
 def free_unused(comm: MPI.Comm) -> None:

@@ -12,23 +12,22 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
 from dolfinx_mortar.geometry.flat import near_others
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.duals import find_coverage, node_weights
 from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, boxes_of, find_facing
 from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import facets_at, mean_facet_length, nodal_normals
-from dolfinx_mortar.solid.bodies import Bodies, Motion, find_free, name_of
-from dolfinx_mortar.solid.dirichlet import Dirichlet
+from dolfinx_mortar.solid.supports import Bodies, Dirichlet, Motion, bodies_of, find_free, name_of
 
 # Ratio of slave to master facets without a warning, half of that where the peak of a disc on a
 # block is still right to .7 % (6 % at 8).
@@ -445,7 +444,10 @@ def _warnings_on_neighbours(
     bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
 ) -> list[str]:
     """Warning for each near pair (`find_pairs`) without an interface; collective."""
-    coupled = _coupled(bodies, system)
+    sides = [side for side in system.sides if side.master is not None]
+    slave = bodies_of(bodies, [side.on_slave for side in sides])
+    touched = slave.T @ bodies_of(bodies, [side.on_master for side in sides])
+    coupled = (touched + touched.T) > 0.0
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
     comm, facets = bodies.V.mesh.comm, system.boundary.at(at)
@@ -469,14 +471,3 @@ def _warnings_on_neighbours(
             "(dm.find_pairs proposes one)"
         )
     return warnings
-
-
-def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
-    """Mask (bodies, bodies) of coupled bodies; collective."""
-    on = np.zeros((2, len(system.sides), bodies.count))
-    for k, sides in enumerate(system.sides):
-        if sides.master is not None:
-            for at, mark in zip(on, (sides.on_slave, sides.on_master), strict=True):
-                at[k, bodies.label[mark[: len(bodies.label)]]] = 1.0
-    slave, master = bodies.V.mesh.comm.allreduce(on)
-    return np.asarray((slave.T @ master + master.T @ slave) > 0.0)

@@ -20,9 +20,9 @@ from dolfinx_mortar.common.arrays import Bools, Floats, Longs
 from dolfinx_mortar.common.spaces import HIGHEST
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import Sides
-from dolfinx_mortar.solid.dirichlet import Dirichlet
 from dolfinx_mortar.solid.kinematics import on_axis
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import Dirichlet
 
 SIMPLICES = ("triangle", "tetrahedron")
 CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
@@ -31,8 +31,8 @@ CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 def check_mesh(mesh: Mesh) -> None:
     """Raise a ValueError on all ranks for invalid cells; collective.
 
-    Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
-    that change sign, overlaps with neighbours. Unsupported kinds of cells are ignored.
+    Unsupported degree, NaN or infinite coordinates, no volume, Jacobians that change sign, overlaps
+    with neighbours. Unsupported kinds of cells are ignored.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:

@@ -34,8 +34,8 @@ from dolfinx_mortar.mortar.facing_bodies import (
     find_facing,
 )
 from dolfinx_mortar.mortar.surface import find_boundary
-from dolfinx_mortar.solid.bodies import find_bodies
 from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
+from dolfinx_mortar.solid.supports import find_bodies
 
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
@@ -116,19 +116,16 @@ def find_pairs(
         mesh: of all bodies.
         cell_tags: tags of all cells; names of `Tags` become those of the bodies.
         within: largest distance of a pair; default the diameter of the larger facet.
-        surface: see `Contact`, as the next ones.
+        surface: see `Contact`, as for `friction` and `tresca`.
         feature_angle: degrees between facets from which on an edge is sharp.
-        friction: Coulomb's coefficient.
-        tresca: limit of the tangential traction.
         show: whether rank 0 prints the table.
 
     Returns:
         A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
-        ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
-            invalid options; a single connected body; and if there is no pair, with the nearest
-            distance.
+        ValueError: on all ranks, for an invalid mesh, tags or options; a single connected body;
+            and if there is no pair, with the nearest distance.
     """
     check("mesh", mesh, instance(Mesh, "give a dolfinx.mesh.Mesh of all bodies"))
     given = {"within": within, "surface": surface, "feature_angle": feature_angle}
@@ -320,7 +317,7 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
     counts = mesh.comm.allreduce(np.bincount(tags, minlength=len(names) + 1), op=MPI.SUM)
     number = {(side.body, side.other): k for k, side in enumerate(found.sides)}
     ends = np.array([[k, number[b, a]] for (a, b), k in number.items() if a < b])
-    roles = _choose_roles(found, tag_of_side, ends)
+    roles = _choose_roles(found, ends)
     contacts, rows, who = [], [], []
     for k in np.take_along_axis(ends, np.stack([roles.slave, 1 - roles.slave], axis=1), axis=1):
         (slave, master), at = (found.sides[i] for i in k), tag_of_side[k]
@@ -369,50 +366,38 @@ class _Roles:
     twice: dict[tuple[int, int], int]  # slave nodes of two pairs, lost by the second
     # nodes of the second pair that would close a cycle with the first
     cyclic: dict[tuple[int, int], int]
-    cost: tuple[float, ...]
+
+    @property
+    def lost(self) -> tuple[int, int]:
+        """Numbers of these nodes, of cycles first."""
+        return sum(self.cyclic.values()), sum(self.twice.values())
 
 
-def _choose_roles(found: _Found, tags: Longs, ends: Longs) -> _Roles:
+def _choose_roles(found: _Found, ends: Longs) -> _Roles:
     """Finer sides as slaves, then the best turn of one pair each; with sides ``ends`` (p, 2).
 
     A node is the slave in one contact only; contacts must not need each other's slave nodes in a
-    cycle (`interfaces.basis`).
+    cycle (`interfaces.basis`). Slaves are at most `COARSE` times coarser than masters.
     """
     sizes = np.array([found.sides[one].sizes for one, _ in ends])
     finer = (sizes[:, 1] < sizes[:, 0] * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
-    best, before = _assess(found, tags, ends, finer), None
+    coarser = sizes.max(axis=1) / sizes.min(axis=1)
+    near = [k for k in np.argsort(coarser, kind="stable") if coarser[k] <= COARSE]
+    best, before = _assess(found, ends, finer), None
     while best is not before:
         before = best
-        turns = (before.slave ^ one for one in np.eye(len(ends), dtype=np.int64))
-        turned = [before, *(_assess(found, tags, ends, slave) for slave in turns)]
-        best = min(turned, key=lambda roles: roles.cost)
+        turns = (before.slave ^ (np.arange(len(ends)) == k) for k in near)
+        turned = (_assess(found, ends, slave) for slave in turns)
+        best = min([before, *turned], key=lambda roles: roles.lost)
     return best
 
 
-def _assess(found: _Found, tags: Longs, ends: Longs, slave: Longs) -> _Roles:
-    """Losses of constraints.
-
-    The cost is, most important first, the number of slaves `COARSE` times coarser than masters, of
-    slave faces with two masters at a node, the shares of slave sides lost by cycles, those of other
-    nodes with two masters, and how coarse slaves are.
-    """
+def _assess(found: _Found, ends: Longs, slave: Longs) -> _Roles:
     p = np.arange(len(slave))
     slaves, masters = ends[p, slave], ends[p, 1 - slave]
-    size = np.maximum(found.common[slaves, slaves], 1)
     shared = np.triu(found.common[np.ix_(slaves, slaves)], 1)
-    straddling = shared * (tags[slaves][:, None] == tags[slaves])
     twice = {(int(i), int(k)): int(shared[i, k]) for i, k in np.argwhere(shared)}
-    cyclic = _close_cycles(found.common[np.ix_(masters, slaves)])
-    sizes = np.array([found.sides[k].sizes for k in slaves])
-    ratio = sizes[:, 0] / sizes[:, 1]
-    cost = (
-        float((ratio > COARSE).sum()),
-        float((straddling > 0).sum()),
-        sum(nodes / size[k] for (_, k), nodes in cyclic.items()),
-        float(((shared - straddling) / size).sum()),
-        float(np.log(ratio).clip(min=0.0).sum()),
-    )
-    return _Roles(slave, twice, cyclic, tuple(float(np.rint(c / HALF_OF_DIGITS)) for c in cost))
+    return _Roles(slave, twice, _close_cycles(found.common[np.ix_(masters, slaves)]))
 
 
 def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:

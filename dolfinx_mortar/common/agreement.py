@@ -50,33 +50,33 @@ def find_constants(value: Any) -> list[Any] | None:
 
 
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
-    for name in dict.fromkeys(name for own in texts for name in own):
-        every = [own.get(name, "missing") for own in texts]
-        others = [rank for rank, text in enumerate(every) if text != every[0]]
-        if others:
-            break
-    differing = (k for k, at in enumerate(zip(*every, strict=False)) if len({*at}) > 1)
-    start = max(next(differing, SHOWN) - SHOWN // 3, 0) if max(map(len, every)) > SHOWN else 0
-    shown = (f"{'... ' if start else ''}{text[start : start + SHOWN]}" for text in every)
-    told = [f"{text} on rank {rank}" for rank, text in enumerate(shown)]
-    more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+    names = dict.fromkeys(name for own in texts for name in own)
+    table = {name: [own.get(name, "missing") for own in texts] for name in names}
+    name, every = next((name, row) for name, row in table.items() if len({*row}) > 1)
+    start = 0
+    if max(map(len, every)) > SHOWN:
+        alike = os.path.commonprefix(every)  # noqa: RUF071 - of characters
+        start = max(len(alike) - SHOWN // 3, 0)
+    shown = [f"{'... ' if start else ''}{text[start : start + SHOWN]}" for text in every]
+    told = [f"{shown[k]} on rank {k}" for k, text in enumerate(every) if text != every[0]]
+    more = f" and {len(told) - 3} more" if len(told) > 3 else ""
     return (
-        f"{name} differs between the ranks: {told[0]}, but "
-        f"{', '.join(told[rank] for rank in others[:3])}{more}; give all ranks the same"
+        f"{name} differs between the ranks: {shown[0]} on rank 0, but {', '.join(told[:3])}{more}; "
+        "give all ranks the same"
     )
 
 
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
     """Names and texts of parts; on errors the type."""
+
+    def text_of(leaf: Any) -> str:
+        named = leaf.__qualname__ if isinstance(leaf, type) else leaf
+        return named if isinstance(named, str) else f"Constant {_plain(leaf.value)}"
+
     try:
-        leaves = list(_leaves(name, value))
-        return [(key, leaf if isinstance(leaf, str) else _told(leaf)) for key, leaf in leaves]
+        return [(key, text_of(leaf)) for key, leaf in _leaves(name, value)]
     except Exception as error:  # errors may be local to this rank
         return [(name, f"{type(value).__name__} ({type(error).__name__})")]
-
-
-def _told(leaf: Any) -> str:
-    return leaf.__qualname__ if isinstance(leaf, type) else f"Constant {_plain(leaf.value)}"
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -111,12 +111,11 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _fields(value: Any) -> Mapping[str, Any]:
-    if isinstance(value, type):
-        return {}
-    if hasattr(value, "given"):
+    if hasattr(value, "given") and not isinstance(value, type):
         return dict(value.given())
-    fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
-    return {f.name: getattr(value, f.name) for f in fields}
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return {}
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
 
 
 def _plain(value: Any) -> str | None:

@@ -16,6 +16,8 @@ Actives = npt.NDArray[np.int8]
 EPS = float(np.finfo(np.float64).eps)
 TINY = float(np.finfo(np.float64).tiny)
 """Least divisor, in place of zero."""
+UNDERFLOW = float(np.sqrt(TINY))
+"""Norm below which squares underflow: no solver reduces such forces."""
 ROUND_OFF = 16 * EPS
 """Error of a sum of products over the size of its terms, such as of a matrix times a vector."""
 HALF_OF_DIGITS = float(np.sqrt(EPS))

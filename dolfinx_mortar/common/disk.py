@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files replaced atomically; checks of a path and its disk before HDF5 writes.
-
-HDF5 crashes on a full disk. ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` share a file.
-"""
+"""Files replaced atomically; checks of a path and its disk, as HDF5 crashes on a full one."""
 
 import errno
 import os

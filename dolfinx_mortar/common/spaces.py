@@ -27,8 +27,8 @@ def check_space(
 ) -> None:
     """Raise a ValueError for unsupported spaces; not collective.
 
-    Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree; scalar spaces
-    if `scalar`; facets that do not lie on the cells unless `on_cells`.
+    Lagrange of degree 1 or 2 is supported, on cells of no higher degree (`on_cells`); scalar spaces
+    if `scalar`.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         of = "" if scalar else " of displacements"
@@ -76,11 +76,8 @@ def find_positions(
 ) -> tuple[dolfinx.fem.FunctionSpace, dolfinx.fem.Function | None]:
     """Vector space of positions X + u for a space V, and u in it; collective.
 
-    Of the highest degree of V, u (None for X) and the cells; V or the space of u if one fits; with
-    nodes numbered as in V if `same_nodes`.
-
-    Raises:
-        ValueError: for other displacements, not collectively; for other nodes.
+    Of the highest degree of V, u (None for X) and the cells; with nodes numbered as in V if
+    `same_nodes`, else a ValueError.
     """
     spaces = [V]
     if u is not None:

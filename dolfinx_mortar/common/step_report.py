@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 
@@ -31,7 +31,7 @@ class Timings:
 
 
 class Note(str):
-    """Observation of a step as text; ``why`` explains it and gives a remedy."""
+    """Observation of a step; ``why`` explains it and gives a remedy."""
 
     why: str
 
@@ -79,9 +79,8 @@ class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
     Forces: the largest external, contact, reaction or element force; lengths: the mean slave facet;
-    multipliers: the largest one, their forces the largest of these, resultants of patches the sum
-    of forces; tangential reactions: the largest friction limit, their energies limits times slips.
-    Small-strain errors are of the worst body.
+    multipliers: the largest one; tangential reactions: the largest friction limit, their energies
+    limits times slips. Small-strain errors are of the worst body.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -114,7 +113,7 @@ class Certificate:
     rotation: float = 0.0  # largest rotation, radians
     loads: float = 0.0  # missing share of the load of a bolt, tool or rigid side
     crossing: float = 0.0  # penetration without an interface, in facets
-    # at finite strain: moment at X + u of a body's internal forces, over forces times arms
+    # at finite strain: moment at X + u of internal forces, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at integration points, 1 for small strains
     energy_defect: float = 0.0  # of `time_steps`, see `Ledger`
@@ -124,7 +123,7 @@ class Certificate:
 class Ledger:
     """Energies of a motion at the end of a step, and works since its start.
 
-    Of the whole ring, or per thickness. Works by the trapezoidal rule, exact for linear bodies.
+    Of the whole ring, or per thickness. Works by the trapezoidal rule.
 
         kinetic + stored + dissipated + friction + damping = initial + loads + supports.
     """
@@ -141,8 +140,7 @@ class Ledger:
     defect: float = 0.0  # left minus right side, over the largest energy
     largest: float = 0.0  # largest of these energies and works
     owed: float = 0.0  # work given by contact, not yet restored
-    # (d,) on the slave side of each contact of problem.interfaces since the start, by the
-    # trapezoidal rule, with those that restored the energy; else None
+    # (d,) on the slave side of each contact since the start, with those that restored the energy
     impulses: list[list[float] | None] = field(default_factory=list)
 
     @property
@@ -154,6 +152,9 @@ class Ledger:
     def __str__(self) -> str:
         energies = {name: value for name, value in vars(self).items() if name != "impulses"}
         return "energy: " + ", ".join(f"{name} {value:.6g}" for name, value in energies.items())
+
+
+SUMS = "newton_iterations", "qp_iterations", "factorisations", "residual_history"
 
 
 @dataclass
@@ -210,35 +211,21 @@ class StepReport:
         self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
-        """Note a message of the QP backend; equal ones are merged."""
-        if not text:
-            return
-        for k, note in enumerate(self.notes):
-            head, _, said = note.partition(": ")
-            if said == text and head.startswith("iteration "):
-                self.notes[k] = f"{head}, {number}: {text}"
-                return
-        self.notes.append(f"iteration {number}: {text}")
+        """Note a message of the QP backend, if any."""
+        if text:
+            self.notes.append(f"iteration {number}: {text}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dictionaries."""
-        return asdict(self) | {
-            "newton_iterations": self.newton_iterations,
-            "qp_iterations": self.qp_iterations,
-            "factorisations": self.factorisations,
-            "residual_history": self.residual_history,
-        }
+        return asdict(self) | {name: getattr(self, name) for name in SUMS}
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> StepReport:
         """Read the result of `as_dict`."""
-        names = {one.name for one in fields(cls)}
-        values = {name: value for name, value in given.items() if name in names}
-        values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
-        if given.get("certificate") is not None:
-            values["certificate"] = Certificate(**given["certificate"])
-        if given.get("ledger") is not None:
-            values["ledger"] = Ledger(**given["ledger"])
+        values = {name: value for name, value in given.items() if name not in SUMS}
+        values["iterations"] = [Iteration(**iteration) for iteration in given["iterations"]]
+        for name, kind in (("certificate", Certificate), ("ledger", Ledger)):
+            values[name] = None if given[name] is None else kind(**given[name])
         return cls(**values)
 
     def __str__(self) -> str:
@@ -306,8 +293,7 @@ class LoadStep:
 class NewtonNotConverged(RuntimeError):
     """Newton's method failed; ``report`` has the details.
 
-    Displacement and committed state are those before the failed step or part: retry with a smaller
-    one.
+    The problem is as before the failed step or part: retry with a smaller one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:

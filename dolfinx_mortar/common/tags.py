@@ -21,8 +21,8 @@ Value = TypeVar("Value")
 class Tags(mesh.MeshTags):
     """Tags of cells or facets that have names.
 
-    They replace dolfinx's ``MeshTags``; names can stand for tags in `Contact`, `Tie`, keys of
-    materials and eigenstrains, and ``find``, but not in UFL: ``ds(facet_tags.tag("top"))``.
+    Names can stand for tags in `Contact`, `Tie`, keys of materials and eigenstrains, and ``find``,
+    but not in UFL: ``ds(facet_tags.tag("top"))``.
 
         facet_tags = dm.Tags(facet_tags, {"ball": 3, "plate": 4})
 
@@ -31,11 +31,7 @@ class Tags(mesh.MeshTags):
     """
 
     def __init__(self, tags: mesh.MeshTags, names: Mapping[str, int]) -> None:
-        """Name tags, which are shared, or copied in the order of the entities.
-
-        Args:
-            names: tag by name, the same on all ranks; not every tag needs one.
-        """
+        """Name tags, the same on all ranks; not every tag needs a name."""
         check("tags", tags, instance(mesh.MeshTags, "give a dolfinx.mesh.MeshTags"))
         check("names", names, instance(Mapping, "give a dictionary, name -> tag"))
         for name, tag in names.items():

@@ -19,8 +19,8 @@ from itertools import combinations
 import numpy as np
 
 from dolfinx_mortar.common.arrays import EPS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
+    FacetElement,
     Facets,
     area_vectors,
     facet_normals,
@@ -57,7 +57,7 @@ def one_ring_sums(
     (m, k, d) for normals, and (m, k, c) with the sum zero where facets surround the node. With
     normals n (m, k, d) and curvatures K (m, k, d, d) at the nodes, edges are projected.
 
-    >>> from dolfinx_mortar.geometry.elements import LINE2
+    >>> from dolfinx_mortar.geometry.facets import LINE2
     >>> n, around = one_ring_sums(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])))
     >>> n.tolist(), around.tolist()
     ([[[0.0, 0.5], [0.0, 0.5]]], [[[-1.0], [1.0]]])
@@ -73,7 +73,7 @@ def one_ring_sums(
     if n is not None and K is not None:
         corners = np.array(facets.element.vertices)
         ahead, behind = (_projected(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
-    ahead, behind = _inverted(ahead), _inverted(behind)
+    ahead, behind = (_divided(e, (e**2).sum(axis=2)) for e in (ahead, behind))
     normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)
     middles = facets.element.nodes - x.shape[1]  # mid-side nodes have the facet's normal
     flat = np.repeat(facet_normals(facets)[:, None], middles, axis=1)
@@ -95,10 +95,6 @@ def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
-
-
-def _inverted(e: Floats) -> Floats:
-    return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
@@ -129,15 +125,14 @@ def own_curvatures(facets: Facets) -> Floats:
     g.y - y.K y / 2 - |K y|^2 y.K y / 8. The larger curvature k is added as k n n^T: K is I / R on
     spheres and (I - a a^T) / R on cylinders with the axis a.
 
-    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> from dolfinx_mortar.geometry.facets import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 1.0]]]))
     >>> own_curvatures(facet).round(1).tolist()  # of a circle
     [[[1.0, 0.0], [0.0, 1.0]]]
     """
     element, (m, k, d) = facets.element, facets.x.shape
-    middle = element.points[list(element.vertices)].mean(axis=0)[None]
-    n = unit(scaled_normals(facets, middle)[:, 0])
-    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.functions(middle)[1][0].T)
+    n = unit(scaled_normals(facets, element.centre)[:, 0])
+    to_y = np.linalg.pinv(np.swapaxes(facets.x, 1, 2) @ element.functions(element.centre)[1][0].T)
     x = facets.x - facets.x.mean(axis=1, keepdims=True)
     y, w = x @ np.swapaxes(to_y, 1, 2), np.einsum("mki,mi->mk", x, n)
     i, j = np.triu_indices(d - 1)
@@ -162,7 +157,7 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
     |K|, 0), as a jump of the curvature is no change along the facet. K (m, d, d) is that of facets,
     at_vertices (m, v, d, d) has nodal means.
 
-    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> from dolfinx_mortar.geometry.facets import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.1, 0.0], [-0.1, 0.0], [0.0, 0.001]]]))
     >>> K = own_curvatures(facet)
     >>> curved_sagittas(facet, K, K[:, None]).round(4).tolist()  # R = 5: 0.04 / R, 0.01 / R
@@ -193,7 +188,7 @@ def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     """Curvatures K (m, d, d), tangential and symmetric: e_ab.K e_ab = c_ab, least squares.
 
-    >>> from dolfinx_mortar.geometry.elements import LINE2
+    >>> from dolfinx_mortar.geometry.facets import LINE2
     >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
     >>> (curvatures(facet, np.array([[1.0]])).round(12) + 0.0).tolist()  # without -0.0
     [[[0.25, 0.0], [0.0, 0.0]]]
@@ -283,7 +278,7 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     h_0 (q,) of `heights` is too inexact for pressures in second order. For arcs (q, 2) see
     `arcs_of_chords`; k = 0 gives h_0.
 
-    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> from dolfinx_mortar.geometry.facets import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))
     >>> middle, c_ab = np.zeros(1, dtype=np.int32), np.array([[1.44]])
     >>> h = heights(facet, c_ab, middle, np.zeros((1, 1)))
@@ -309,7 +304,7 @@ def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:
 def node_pairs(element: FacetElement) -> tuple[list[int], list[int]]:
     """First and second nodes of all pairs of nodes of a facet.
 
-    >>> from dolfinx_mortar.geometry.elements import TRI3
+    >>> from dolfinx_mortar.geometry.facets import TRI3
     >>> node_pairs(TRI3)
     ([0, 0, 1], [1, 2, 2])
     """

@@ -4,8 +4,9 @@
 import numpy as np
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
+    LINE2,
+    TRI3,
     Facets,
     are_inside,
     bounding_balls,
@@ -46,21 +47,16 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
-    v, w, across = q - p, s - r, p - r
-    a, e, b = (np.einsum("mi,mi->m", *of) for of in ((v, v), (w, w), (v, w)))
-    c, f = (np.einsum("mi,mi->m", of, across) for of in (v, w))
-    found = np.full(len(p), np.inf)
-    for point, end, way, length in ((p, r, w, e), (q, r, w, e), (r, p, v, a), (s, p, v, a)):
-        share = np.einsum("mi,mi->m", point - end, way) / np.maximum(length, TINY)
-        nearest = end + np.clip(share, 0.0, 1.0)[:, None] * way
-        found = np.minimum(found, ((point - nearest) ** 2).sum(axis=1))
+    v, w, apart = q - p, s - r, p - r
+    every = (v, v), (w, w), (v, w), (v, apart), (w, apart)
+    a, e, b, c, f = (np.einsum("mi,mi->m", *of) for of in every)
+    a, e = np.maximum(a, TINY), np.maximum(e, TINY)
     angle = a * e - b * b  # 0 for parallel lines
     skew = angle > EPS * a * e
-    angle = np.where(skew, angle, 1.0)
-    t, u = (b * f - c * e) / angle, (a * f - b * c) / angle
-    inside = skew & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
-    apart = across + t[:, None] * v - u[:, None] * w
-    return np.where(inside, np.minimum(found, (apart**2).sum(axis=1)), found)
+    t = np.where(skew, (b * f - c * e) / np.where(skew, angle, 1.0), 0.0).clip(0.0, 1.0)
+    u = ((b * t + f) / e).clip(0.0, 1.0)
+    t = ((b * u - c) / a).clip(0.0, 1.0)
+    return np.asarray(((apart + t[:, None] * v - u[:, None] * w) ** 2).sum(axis=1))
 
 
 def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
@@ -161,7 +157,7 @@ def flat_parts(facets: Facets) -> Floats:
     """Lines (m, 2, 2) or triangles (m or 2m, 3, 3) between the vertices of facets.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import QUAD4
+        >>> from dolfinx_mortar.geometry.facets import QUAD4
         >>> x = np.array([[[0.0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5]]])
         >>> flat_parts(Facets(QUAD4, x)).shape
         (2, 3, 3)
@@ -208,7 +204,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
     opposite direction, or inf.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import LINE2
+        >>> from dolfinx_mortar.geometry.facets import LINE2
         >>> x = np.array([[[0.0, 0], [2, 0]], [[3, 1], [-1, 1]], [[2, 5], [0, 5]]])
         >>> strip = Facets(LINE2, x)
         >>> thickness(strip, strip)

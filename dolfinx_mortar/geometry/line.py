@@ -7,17 +7,16 @@ are clipped as parabolas a + b xi + c xi^2, not as chords.
 """
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.legendre import leggauss
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, turns
+from dolfinx_mortar.geometry.facets import FacetElement, Facets
+from dolfinx_mortar.geometry.moments import Sides, Sums, create_points
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 
@@ -179,22 +178,22 @@ def moments(
     x, n, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
     slave, master = types
-    (k, m), (t, weights) = (x.shape[1], y.shape[1]), gauss_points(_count(*types))
+    (k, m), (t, weights) = (x.shape[1], y.shape[1]), leggauss(_count(*types))
     of = pairs[:, 0]
     Y = y[of[:, None], place]
     kinds = (slave, x), (slave, n), (master, Y)
     facets = [_polynomials(element, v) for element, v in kinds]
     which, ends = _clip(*facets, np.ascontiguousarray(Y[:, :2]), pairs, deepest)
-    xi, eta, _ = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
+    xi, eta, w = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
     on, half, n = of[which], np.diff(ends)[:, :, None] / 2, n[of[which]]
     at = create_points(
         slave.functions(xi),
         master.functions(eta)[:2],
         (x[on], Y[which]),
-        weights * half[..., 0],
+        w[..., 0],
         (factor[on], reach[on]),
-        turns(slave, x[on]),
-        [v[which] if len(v) else v for v in heights],
+        slave,
+        [v[which] for v in heights],
         np.eye(m)[place[which]],
     )
     is_end = np.zeros((len(x), m), dtype=bool)
@@ -242,22 +241,11 @@ def _end_rates(
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
     """Coefficients (m, 3, 2) of 1, xi, xi^2 for nodal values v (m, k, 2).
 
-    >>> from dolfinx_mortar.geometry.elements import LINE3
+    >>> from dolfinx_mortar.geometry.facets import LINE3
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
     return np.asarray(element.table[:, ::3].T @ v)
-
-
-@cache
-def gauss_points(n: int) -> tuple[Floats, Floats]:
-    """Gauss points on [-1, 1] and their n weights, sum 2; read only.
-
-    >>> gauss_points(1)[0].tolist(), gauss_points(1)[1].tolist()
-    ([0.0], [2.0])
-    """
-    points, weights = np.polynomial.legendre.leggauss(n)
-    return points, weights
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:
@@ -283,6 +271,6 @@ def place_points(
     x_m = _polynomials(master.element, master.x)
     corners = np.ascontiguousarray(master.x[:, master.element.vertices])
     which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
-    points, weights = gauss_points(_count(slave.element, master.element))
+    points, weights = leggauss(_count(slave.element, master.element))
     xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
     return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight

@@ -12,13 +12,19 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area
-from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps, place
-from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
-from dolfinx_mortar.geometry.plane import count, on_facets, project, reference_parts
+from dolfinx_mortar.geometry.area import Overlaps, areas, find_overlaps
+from dolfinx_mortar.geometry.facets import (
+    FacetElement,
+    Facets,
+    dual_basis,
+    surface_gradients,
+    triangle_rule,
+)
+from dolfinx_mortar.geometry.plane import count, project, reference_parts
 from dolfinx_mortar.geometry.tolerances import KERNEL
 
 
@@ -112,10 +118,9 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
     At the centre, by the vertices.
     """
     part = element.first
-    xi = part.points[list(part.vertices)].mean(axis=0)
     corners = Facets(part, x[:, : part.nodes])
     which = np.arange(len(x), dtype=np.int32)
-    g, n = surface_gradients(corners, which, np.broadcast_to(xi, (len(x), len(xi))))
+    g, n = surface_gradients(corners, which, np.repeat(part.centre, len(x), axis=0))
     return n, np.pad(g, ((0, 0), (0, x.shape[1] - part.nodes), (0, 0)))
 
 
@@ -136,7 +141,7 @@ def create_points(
     nodes: tuple[Floats, Floats],
     weight: Floats,
     given: tuple[Floats, Floats],
-    tilts: tuple[Floats, Floats],
+    element: FacetElement,
     heights: Sequence[Floats],
     spread: Floats | None = None,
 ) -> Points:
@@ -146,20 +151,20 @@ def create_points(
         slave: N, dN, ddN of `FacetElement.functions`.
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
-        weight: (s, q) on the slave's reference facet.
+        weight: (s, q) areas on the slave, or lengths.
         given: nodal weights (s, k); reach (s, 2) of `Segments`, or (s, 0).
-        tilts: `turns` of the slave facets.
+        element: of the slave.
         heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
         spread: (s, l, m) the master's nodes among m.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
     T, U, apart = sums(dN, x), sums(dM, y), sums(M, y) - sums(N, x)
-    dual, normal = dual_basis(T)
+    dual, _ = dual_basis(T)
     scale = sums(N, factor)
     by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
     by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
-    weight = weight * scale[..., 0] * np.linalg.norm(normal, axis=2)
+    weight = weight * scale[..., 0]
     h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
     for i, one in enumerate(own if heights[0].size else ()):
         rise, by_N[i], by_chord = height(one, heights[i], heights[2][:, i])
@@ -170,7 +175,7 @@ def create_points(
     by_m, by_x = np.zeros_like(by_s), np.swapaxes(dN, 2, 3) @ dual
     by_y = np.zeros((*M.shape, x.shape[2]))
     if reach.size:
-        n, g = tilts
+        n, g = turns(element, x)
         part = 1.0 - reach[:, 1:] * ((apart @ n[:, :, None])[..., 0] - reach[:, :1])
         rate = -reach[:, 1:] / np.where((part > 0.0) & (part < 1.0), part, np.inf)
         fall, weight = rate[..., None] * n[:, None], weight * np.clip(part, 0.0, 1.0)
@@ -218,8 +223,8 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
+def _find_edges(x_s, x_m, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
+    """Edges (q, 4) on edges of masters: triangle, edge, pair with the master, its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for t in range(len(which)):
@@ -228,9 +233,9 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
         for e in range(3):
-            line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
-            if line[2] < 0:
-                line = _nearest_line(corners[t], e, M, r, line)
+            if _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))[2] >= 0:
+                continue
+            line = _nearest_line(corners[t], e, M, r, (HALF_OF_DIGITS, none, none))
             if line[2] < 0 and hidden[s]:
                 while r > 0 and pairs[r - 1, 0] == s:
                     r -= 1
@@ -255,41 +260,34 @@ def moments_in_space(
     x, y, pairs, (slave, master) = sides.x, sides.y, sides.pairs(), types
     others = Facets(master, y[pairs[:, :1], sides.place])
     over = find_overlaps(Facets(slave, x), others, pairs, sides.deepest)
-    given = _Given(over, sides, heights, turns(slave, x), _frames(over))
     degree = area.degree_of_moments(slave, master, heights[0].size > 0)
-    points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
+    points, weights = leggauss((degree + 3) // 2)
     t, rule = (1.0 + points) / 2, triangle_rule(degree)
     line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
-    inner = _create(given, over.which, over.corners, areas(over.corners), rule)
+    inner = _create(over, sides, heights, over.which, over.corners, areas(over.corners), rule)
     _add_inner(over, inner, found)
-    edges = _find_edges(*over.sides, *over.planes[:2], over.which, over.corners, over.hidden)
+    edges = _find_edges(*over.of_planes, over.hidden)
     ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
     which, one = over.which[edges[:, 0]], np.ones(len(edges))
-    crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
-    ids = _nodes_of_lines(given, crossing.part, edges[:, 2], edges[:, 3:] + [0, 1])
+    crossing = _create(over, sides, heights, which, ends[:, [0, 1, 1]], one, line)
+    ids = _nodes_of_lines(over, sides, edges[:, 2], edges[:, 3:] + [0, 1])
     lines = nodes[crossing.facet[:, None], ids]
     _add_edges(over, crossing, lines, ends, t, ids, found)
-
-
-class _Given(NamedTuple):
-    over: Overlaps
-    sides: Sides
-    heights: Sequence[Floats]
-    tilts: tuple[Floats, Floats]  # of the slave facets
-    frames: tuple[Floats, Floats, Floats]  # see `_frames`
 
 
 class _OfPairs(NamedTuple):
     """Points (s, q) of triangles, or of lines, of pairs."""
 
     at: Points
-    xi: Floats  # (s, q, 2) on the slave's part
+    xi: Floats  # (s, q, 2) on the slave
     part: Longs  # (s,) of the slave
     facet: Longs  # (s,)
     pair: Ints  # (s,)
     nodes: Longs  # (s, k + l) of both facets, slave's first
     x: Floats  # (s, k + l, 3) relative to the centre of the part
-    frame: tuple[Floats, Floats, Floats]  # see `_frames`
+    u: Floats  # (s, 2, 3) axes of the part's plane
+    n: Floats  # (s, 3) its normal
+    g: Floats  # (s, k, 3) see `turns`
 
     def columns(self, found: Sums) -> Longs:
         """Columns (s, k + l + 1) of the points' functions and heights among the moments."""
@@ -298,52 +296,50 @@ class _OfPairs(NamedTuple):
 
 
 def _create(
-    given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
+    over: Overlaps,
+    sides: Sides,
+    heights: Sequence[Floats],
+    which: Longs,
+    corners: Floats,
+    size: Floats,
+    rule: tuple[Floats, Floats],
 ) -> _OfPairs:
     """Points of a rule on triangles (s, 3, 2); weight 0 off the master."""
-    over, tilts = given.over, given.tilts
-    slave, master, a = over.slave, over.master, count(over.slave.element)
+    slave, master, planes = over.slave, over.master, over.planes
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
-    at = which, corners, size, first, False, *rule, np.array([0, q])
-    on, xi, xi_m, weight = place(*over.sides, *over.planes, *at)
-    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, 2), xi
-    if slave.element.part or master.element.part:
-        on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
-        xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
-        weight *= slave.element.size / (a * slave.element.first.size)
+    _, xi_s, xi_m, weight = over.place(which, corners, size, first, (*rule, np.array([0, q])))
+    part, shape = over.pairs[which, 0].astype(np.int64), (len(which), q, 2)
     lost = np.isnan(xi_m[:, 0])
     xi_m[lost], weight[lost] = 0.0, 0.0
-    xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
-    facet, pair = part // a, over.of[which]
+    xi_s, xi_m = (v.reshape(shape) for v in (xi_s, xi_m))
+    facet, pair = part // count(slave.element), over.of[which]
     nodes = slave.x[facet], master.x[pair]
     points = create_points(
         slave.element.functions(xi_s),
         master.element.functions(xi_m)[:2],
         nodes,
         weight.reshape(shape[:2]),
-        (given.sides.factor[facet], given.sides.reach[facet]),
-        (tilts[0][facet], tilts[1][facet]),
-        [v[pair] if len(v) else v for v in given.heights],
+        (sides.factor[facet], sides.reach[facet]),
+        slave.element,
+        [v[pair] for v in heights],
     )
     k = slave.x.shape[1]
     own = np.broadcast_to(np.arange(k), (len(which), k))
-    which = np.concatenate([own, k + given.sides.place[pair]], axis=1)
-    x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
-    u, n, turned = (v[part] for v in given.frames)
-    return _OfPairs(points, xi, part, facet, pair, which, x, (u, n, turned))
+    which = np.concatenate([own, k + sides.place[pair]], axis=1)
+    x = np.concatenate(nodes, axis=1) - planes[0][part][:, None]
+    n, g = turns(over.parts[0].element, over.parts[0].x[part])
+    u = planes[1][part, :2] * planes[2][part, None, None]
+    g = np.swapaxes(_scattered(slave.element, part), 1, 2) @ g
+    return _OfPairs(points, xi_s, part, facet, pair, which, x, u, n, g)
 
 
-def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
-    """Nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
-    over, sides = given.over, []
-    of_master = over.pairs[pair, 1]
-    for facets, of in ((over.slave, part), (over.master, of_master)):
-        nodes = np.array(facets.element.sub_facets)[of % count(facets.element)]
-        sides.append(np.take_along_axis(nodes, corners % nodes.shape[1], axis=1))
-    others = over.slave.x.shape[1] + np.take_along_axis(
-        given.sides.place[over.of[pair]], sides[1], axis=1
-    )
-    return np.where(pair[:, None] < 0, sides[0], others)
+def _nodes_of_lines(over: Overlaps, sides: Sides, pair: Longs, corners: Longs) -> Longs:
+    """Nodes (s, 2) of edges of masters."""
+    element = over.master.element
+    nodes = np.array(element.sub_facets)[over.pairs[pair, 1] % count(element)]
+    ends = np.take_along_axis(nodes, corners % nodes.shape[1], axis=1)
+    places = np.take_along_axis(sides.place[over.of[pair]], ends, axis=1)
+    return over.slave.x.shape[1] + places
 
 
 def _oblique(V: Floats, n: Floats) -> Floats:
@@ -353,52 +349,34 @@ def _oblique(V: Floats, n: Floats) -> Floats:
     return np.stack([first, second], axis=2) / size
 
 
-def _frames(over: Overlaps) -> tuple[Floats, Floats, Floats]:
-    """Axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
-    axes = over.planes[1] * over.planes[2][:, None, None]
-    u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
-    _, g = turns(over.parts.element, over.parts.x)
-    along = u @ np.swapaxes(g, 1, 2) @ _scattered(over.slave.element, every)
-    return u, n, -along[..., None] * n[:, None, None]
-
-
 def _scattered(element: FacetElement, part: Longs) -> Floats:
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
 
 
-def _add_inner(over: Overlaps, inner: _OfPairs, found: Sums) -> None:
-    """Add the moments of triangles, and their derivatives at points fixed in the plane.
+def _of_parts(element: FacetElement, part: Longs, xi: Floats) -> Floats:
+    """Functions of parts at points xi (s, q, 2) of facets."""
+    x = reference_parts(element)[part % count(element)]
+    N, slopes, _ = element.first.functions(np.zeros((1, 2)))  # affine parts
+    return element.first.functions((xi - N @ x) @ np.linalg.inv(slopes @ x))[0]
 
-    A motion dx of the part's nodes changes xi by -K dx; xi of the master by G times the relative
-    motion.
+
+def _add_inner(over: Overlaps, inner: _OfPairs, found: Sums) -> None:
+    """Add the moments of triangles, and their derivatives at points fixed on the slave.
+
+    Points h n above them, on the master, move by G (dx_s + h dn - dx_m) in its coordinates.
     """
-    at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
-    (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
-    N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
-    V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
-    K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
-    slopes = slave.first.functions(slave.points[:1])[1] @ reference_parts(slave)  # (parts, 2, 2)
-    B = slopes[inner.part % count(slave), None].swapaxes(2, 3) @ K  # xi of the facet: -B dx
-    by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
-    by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
-    by_x[:, :, :2] = -B[..., None, :] * N
-    by_x[:, :, 2:4] = G[..., None, :] * at.N[:, :, None, :, None]
-    by_x[:, :, 2:4] -= (G @ np.swapaxes(at.T, 2, 3) @ B)[..., None, :] * N
-    by_y[:, :, 2:4] = -G[..., None, :] * at.f[:, :, None, k:-1, None]
-    by[:, :, 4] = at.by_nodes
-    by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
-    along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
-    by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
-    # a tilt acts like the opposite rotation of all nodes
-    back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
-    back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
+    at, n, g, (s, q, k) = inner.at, inner.n, inner.g, inner.at.N.shape
+    G, h = _oblique(at.U, n[:, None]), at.apart @ n[:, :, None]
+    by = np.empty((s, q, 2, inner.nodes.shape[1], 3))
+    by[..., :k, :] = at.N[:, :, None, :, None] * G[..., None, :]
+    by[..., :k, :] -= (h[..., None] * (G @ np.swapaxes(g, 1, 2)[:, None]))[..., None] * n[
+        :, None, None, None
+    ]
+    by[..., k:, :] = -at.f[:, :, None, k:-1, None] * G[..., None, :]
     z = 3 * inner.nodes.shape[1]
-    rates: Floats = by.reshape(s, 5 * q, z)
-    back, tilts = back.reshape(s, 2, z), tilts.reshape(s, 2, 3 * k)
-    rates[..., : 3 * k] += rates @ back.swapaxes(1, 2) @ tilts
-    rates = rates.reshape(s, q, 5, z)
-    values, changes = at.differentiate(rates[:, :, :2], rates[:, :, 2:4], rates[:, :, 4])
+    rates = by.reshape(s, q, 2, z)
+    values, changes = at.differentiate(0.0 * rates, rates, at.by_nodes.reshape(s, q, z))
     columns, none = inner.columns(found), np.zeros((s, 1), dtype=np.int64)
     _scatter(found.values[:, None], inner.facet, none, columns, values[:, None])
     _scatter(found.changes, inner.facet, inner.nodes, columns, changes)
@@ -414,25 +392,28 @@ def _add_edges(
     ids: Longs,
     found: Sums,
 ) -> None:
-    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise."""
-    at, (u, normal, tilts) = inner.at, inner.frame
-    (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
-    lines = lines - over.planes[0][inner.part][:, None]
+    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise.
+
+    Relative to the slave's part, by dx_m - dx_s - h dn.
+    """
+    at, part, k = inner.at, inner.part, inner.at.N.shape[2]
+    u, n, g = inner.u, inner.n, inner.g
+    radius, lines = over.planes[2][part], lines - over.planes[0][part][:, None]
     first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
     along, way = second - first, ends[:, 1] - ends[:, 0]
     points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
     share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
     share = np.stack([1.0 - share, share], axis=2)
-    outwards = way[:, ::-1] * [1.0, -1.0] / radius[:, None]
-    by = np.empty((s, q, k + 2, 3))
-    by[:, :, k:] = share[..., None] * (outwards[:, None] @ u)[:, None]
-    height = share @ (lines @ normal[:, :, None])
-    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, 3 * k)).reshape(s, q, k, 3)
-    n, z = at.f.shape[2], 3 * (k + 2)
+    N = sums(_of_parts(over.slave.element, part, inner.xi), _scattered(over.slave.element, part))
+    h = (share @ lines - sums(N, inner.x[:, :k])) @ n[:, :, None]
+    outwards = ((way[:, ::-1] * [1.0, -1.0] / radius[:, None])[:, None] @ u)[:, None]
+    by_x = (h * (g @ outwards[:, 0, 0, :, None])[:, None, :, 0])[..., None] * n[:, None, None]
+    by = np.concatenate([by_x - N[..., None] * outwards, share[..., None] * outwards], axis=2)
     rows = (at.weight[..., None] * at.N)[..., None] * at.f[:, :, None]
-    changes = np.swapaxes(by.reshape(s, q, z), 1, 2) @ rows.reshape(s, q, k * n)
+    (s, q), z = share.shape[:2], 3 * (k + 2)
+    changes = np.swapaxes(by.reshape(s, q, z), 1, 2) @ rows.reshape(s, q, k * at.f.shape[2])
     nodes = np.concatenate([inner.nodes[:, :k], ids], axis=1)
-    changes = changes.reshape(s, z, k, n)
+    changes = changes.reshape(s, z, k, at.f.shape[2])
     _scatter(found.changes, inner.facet, nodes, inner.columns(found), changes)
 
 

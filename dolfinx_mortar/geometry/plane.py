@@ -11,8 +11,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, bounding_balls, facet_normals, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
@@ -33,7 +32,7 @@ def parts_of(facets: Facets) -> Facets:
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
     """Pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
 
-    >>> from dolfinx_mortar.geometry.elements import TRI3
+    >>> from dolfinx_mortar.geometry.facets import TRI3
     >>> pairs, of = pairs_of_parts(np.array([[0, 3], [0, 5]], dtype=np.int32), TRI3, TRI3)
     >>> pairs.tolist(), of.tolist()
     ([[0, 3], [0, 5]], [0, 1])
@@ -50,18 +49,11 @@ def reference_parts(element: FacetElement) -> Floats:
     return element.points[np.array(element.sub_facets)]
 
 
-def _on_facet(element: FacetElement, part: Ints, xi: Floats) -> tuple[Ints, Floats]:
-    """Facets (q,) and coordinates (q, 2) of points xi of parts."""
-    x = reference_parts(element)[part % count(element)]
-    N = element.first.shape_functions(xi)
-    return part // count(element), np.einsum("qk,qki->qi", N, x)
-
-
 def coefficients(facets: Facets) -> Floats:
     """Coefficients c (m, 3, 9) of facets: of x_i at 3 a + b.
 
     Example:
-        >>> from dolfinx_mortar.geometry.elements import TRI3
+        >>> from dolfinx_mortar.geometry.facets import TRI3
         >>> x = np.array([[[5.0, 0, 0], [7, 0, 0], [5, 1, 0]]])
         >>> coefficients(Facets(TRI3, x))[0, 0].tolist()
         [5.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -95,56 +87,30 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _place(slave, master, axes, part, i, j, on_s, on_m, area):  # type: ignore[no-untyped-def]
-    """Project points on_s of slave facets i on master facets j; overwrite on_m, set area."""
-    P, n = np.empty((1, 2, 9)), np.empty(3)
-    for q in range(len(area)):
-        if q == 0 or part[q] != part[q - 1] or j[q] != j[q - 1]:
-            for a in range(2):
-                for k in range(9):
-                    P[0, a, k] = 0.0
-                    for c in range(3):
-                        P[0, a, k] += axes[part[q], a, c] * master[j[q], c, k]
-        r, s, u, v = on_s[q, 0], on_s[q, 1], 0.0, 0.0
-        for c in range(3):
-            x, _, _ = _component(slave, i[q], c, r, s)
-            _, a1, b1 = _component(slave, i[q], (c + 1) % 3, r, s)
-            _, a2, b2 = _component(slave, i[q], (c + 2) % 3, r, s)
-            n[c] = a1 * b2 - a2 * b1
-            u, v = u + axes[part[q], 0, c] * x, v + axes[part[q], 1, c] * x
-        area[q] = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-        on_m[q, 0], on_m[q, 1] = meet(P, u, v, on_m[q, 0], on_m[q, 1])
+def locate(c, i, centre, axes, r, s):  # type: ignore[no-untyped-def]
+    """Coordinates in a plane of a facet's point (r, s), and its Jacobian."""
+    x, a0, b0 = _component(c, i, FIRST, r, s)
+    y, a1, b1 = _component(c, i, SECOND, r, s)
+    z, a2, b2 = _component(c, i, THIRD, r, s)
+    x, y, z = x - centre[0], y - centre[1], z - centre[2]
+    n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    return u, v, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
-def on_facets(
-    slave: Facets,
-    master: Facets,
-    axes: Floats,
-    part: Ints,
-    *,
-    xi_s: Floats,
-    xi_m: Floats,
-    weight: Floats,
-) -> tuple[Floats, Floats, Floats]:
-    """Coordinates xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
-
-    xi_m is NaN where the line through a point misses the master. `axes` (ms * s, 3, 3) are of the
-    slave parts' planes, the last the direction of projection; xi_s, xi_m and weight belong to the
-    parts (q, 2).
-    """
-    scale = slave.element.size / (count(slave.element) * slave.element.first.size)
-    (i, on_s), (j, on_m) = (
-        _on_facet(f.element, part[:, k], xi)
-        for k, (f, xi) in enumerate(((slave, xi_s), (master, xi_m)))
-    )
-    area = np.empty(len(weight))
-    _place(coefficients(slave), coefficients(master), axes, part[:, 0], i, j, on_s, on_m, area)
-    return on_s, on_m, weight * scale * area
+@numba.njit(**KERNEL)
+def project_map(c, j, centre, axes, P):  # type: ignore[no-untyped-def]
+    """Write the coefficients of a facet in a plane into P (1, 2, 9)."""
+    for a in range(2):
+        for k in range(9):
+            P[0, a, k] = 0.0
+            for i in range(3):
+                P[0, a, k] += axes[a, i] * (c[j, i, k] - (centre[i] if k == 0 else 0.0))
 
 
-VERTICES = 32
-"""Space for the vertices of a polygon (cost only): 8 common to two quadrilaterals, one more for
-each cut; polygons are halved before it is full."""
+VERTICES = 16
+"""Space for the vertices of a polygon (cost only): 8 common to two quadrilaterals."""
 
 
 @numba.njit(**KERNEL)
@@ -176,16 +142,6 @@ def copy(P, n, Q):  # type: ignore[no-untyped-def]
     """Write the polygon P into Q: loops, as array assignments take a second each to compile."""
     for i in range(n):
         Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
-
-
-@numba.njit(**KERNEL)
-def halve(P, n, Q):  # type: ignore[no-untyped-def]
-    """Keep one half of P, write the other into Q; return the sizes."""
-    half = n // 2
-    for k in range(half, n):
-        Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
-    Q[n - half, 0], Q[n - half, 1] = P[0, 0], P[0, 1]
-    return half + 1, n - half + 1
 
 
 @numba.njit(**KERNEL)
@@ -269,34 +225,14 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(**KERNEL)
-def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
-    """Append the convex pieces of P without Q; return the new count."""
-    rest = np.empty((VERTICES, 2))
-    copy(P, n, rest)
-    for i in range(m):
-        j = i + 1 if i + 1 < m else 0
-        a, b = (i, j) if sign > 0 else (j, i)
-        size = cut(rest, n, Q[b, 0], Q[b, 1], Q[a, 0], Q[a, 1], pieces[count])
-        if not is_thin(pieces[count], size):
-            sizes[count] = size
-            count += 1
-        n = cut(rest, n, Q[a, 0], Q[a, 1], Q[b, 0], Q[b, 1], spare)
-        copy(spare, n, rest)
-        if n < 3:
-            break
-    return count
-
-
-def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
+def create_planes(facets: Facets) -> tuple[Floats, Floats, Floats]:
+    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets.
 
     Rows of the axes are two tangents and the normal, over the radius.
     """
-    centre, radius = bounding_balls(x)
-    radius = np.maximum(radius, TINY)
-    n = unit(np.asarray(np.cross(x[:, 2] - x[:, 0], x[:, -1] - x[:, 1]), dtype=np.float64))
-    first = x[:, 1] - x[:, 0]
+    centre, radius = bounding_balls(facets.x)
+    radius, n = np.maximum(radius, TINY), facet_normals(facets)
+    first = facets.x[:, 1] - facets.x[:, 0]
     first = unit(first - (first * n).sum(axis=1)[:, None] * n)
     return centre, np.stack([first, np.cross(n, first), n], axis=1) / radius[:, None, None], radius
 
@@ -313,26 +249,21 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def bilinear_map(P, i):  # type: ignore[no-untyped-def]
-    """Coefficients m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
-    p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
+    """Coefficients m, a, b, c of component i of the map m + xi a + eta b + xi eta c of a facet."""
+    p, q, r = P[0, i], P[1, i], P[2, i]
+    if len(P) == 3:
+        return p, q - p, r - p, 0.0
+    s = P[3, i]
     return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
 
 
 @numba.njit(**KERNEL)
-def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
+def inverse(P, x, y):  # type: ignore[no-untyped-def]
     """Coordinates xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
     With p = m - (x, y), p + xi a + eta (b + xi c) = 0 times b + xi c is C + B xi + A xi^2 = 0,
     whose derivative is the Jacobian: at the root inside it has the sign of a x b.
     """
-    if not bilinear:
-        a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
-        J = a0 * b1 - a1 * b0
-        p0, p1 = x - P[0, 0], y - P[0, 1]
-        xi = (p0 * b1 - p1 * b0) / J
-        # by projection on b: on slivers xi is inexact, the point is not
-        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
-        return xi, eta, abs(J)
     m0, a0, b0, c0 = bilinear_map(P, FIRST)
     m1, a1, b1, c1 = bilinear_map(P, SECOND)
     p0, p1 = m0 - x, m1 - y
@@ -346,28 +277,25 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         xi = -2 * C / (B + sign * J)
     else:
         xi = (sign * J - B) / (2 * A)
+    # by projection: on slivers xi is inexact, the point is not
     d0, d1 = b0 + xi * c0, b1 + xi * c1
     eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) / (d0 * d0 + d1 * d1)
     return xi, eta, J
 
 
 @numba.njit(**KERNEL)
-def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Height of the facet's point (xi, eta)."""
-    if not bilinear:
-        return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
-    m, a, b, c = bilinear_map(P, THIRD)
+def evaluate(P, i, xi, eta):  # type: ignore[no-untyped-def]
+    """Component i of the facet's point (xi, eta)."""
+    m, a, b, c = bilinear_map(P, i)
     return m + xi * a + eta * (b + xi * c)
 
 
 @numba.njit(**KERNEL)
-def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
+def slopes(P, xi, eta):  # type: ignore[no-untyped-def]
     """Both slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
     Its area is sqrt(1 + s_0^2 + s_1^2) of the projection.
     """
-    if not bilinear:
-        return 0.0, 0.0
     _, a0, b0, c0 = bilinear_map(P, FIRST)
     _, a1, b1, c1 = bilinear_map(P, SECOND)
     _, a2, b2, c2 = bilinear_map(P, THIRD)
@@ -378,22 +306,25 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
+def are_apart(P, Q, distance):  # type: ignore[no-untyped-def]
+    """Whether an edge of one projected facet has all of the other beyond a distance."""
+    p, q = len(P), len(Q)
+    one, other = orientation(P, p), orientation(Q, q)
+    return (one != 0 and is_beside(P, p, Q, q, one, distance)) or (
+        other != 0 and is_beside(Q, q, P, p, other, distance)
+    )
+
+
+@numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    near = np.ones(len(pairs), dtype=np.bool_)
-    k, n = x_s.shape[1], x_m.shape[1]
-    S, M = np.empty((k, 3)), np.empty((n, 3))
+    near = np.empty(len(pairs), dtype=np.bool_)
+    S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for p in range(len(pairs)):
         s = pairs[p, 0]
         if p == 0 or s != pairs[p - 1, 0]:
             project(x_s[s], centre[s], axes[s], S)
-            convex = orientation(S, k)
         project(x_m[pairs[p, 1]], centre[s], axes[s], M)
-        reach = margin[s] / radius[s] + HALF_OF_DIGITS
-        sign = orientation(M, n)
-        if convex != 0 and is_beside(S, k, M, n, convex, reach):
-            near[p] = False
-        elif sign != 0 and is_beside(M, n, S, k, sign, reach):
-            near[p] = False
+        near[p] = not are_apart(S, M, margin[s] / radius[s] + HALF_OF_DIGITS)
     return near
 
 
@@ -402,5 +333,5 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
-    near = _are_near(a.x, b.x, of_parts, *create_planes(a.x), margins)
+    near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
     return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)

@@ -16,8 +16,8 @@ import scipy
 
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line, plane
-from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
+    FacetElement,
     Facets,
     bounding_balls,
     facet_normals,

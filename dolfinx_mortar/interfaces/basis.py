@@ -212,8 +212,7 @@ def notes_on_splits(
         open_ = (shares[k] < 1.0 - LEAST_COVERAGE) & (shares[i] > LEAST_COVERAGE)
         if not any_rank(comm, open_.any())[0]:
             continue
-        between = _between(sides[k], sides[i], displacements[k])
-        count = comm.allreduce(int((between > LEAST_COVERAGE).sum()), op=MPI.SUM)
+        count = comm.allreduce(_beside(sides[k], sides[i], displacements[k]), op=MPI.SUM)
         if count:
             notes.append(
                 f"{interfaces[k]}: {count} slave facets face the master of {interfaces[i]}, to "
@@ -223,20 +222,20 @@ def notes_on_splits(
     return notes
 
 
-def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Part (m,) of facets that only the other side's master covers; collective."""
+def _beside(side: Sides, other: Sides, u: fem.Function | None) -> int:
+    """Number of facets at the other slave side that only its master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
     if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
-        return np.zeros(len(facets))
+        return 0
     parts = []
     for master in (side.master, other.master):
         pairing = create_pairing(side.slave, master, u, moving=False, again=True)
         segments, _ = find_segments(pairing, u)
         covered = np.bincount(segments.slave, segments.weight, minlength=len(facets))
         parts.append(covered / segments.facet_weights.sum(axis=1))
-    uncoupled = np.minimum(parts[1], 1.0 - parts[0])
-    return np.asarray(uncoupled * (beside.any(axis=1) & ~beside.all(axis=1)))
+    uncoupled = np.minimum(parts[1], 1.0 - parts[0]) > LEAST_COVERAGE
+    return int((uncoupled & beside.any(axis=1) & ~beside.all(axis=1)).sum())
 
 
 class Transformation:
@@ -385,32 +384,23 @@ class _Factor:
             link, p, blocks = links[k], links[k].pattern, links[k].coupling.blocks
             nodes = link.nodes[mine]
             C.append((nodes, nodes.astype(np.int64) + first, link.coupling.R[mine] - np.eye(d)))
-            dofs = d * link.nodes[:, None] + np.arange(d)
-            free_now = link.constrained & ~is_held[dofs]
-            used = blocks.any(axis=(1, 2)) & here[p.row]
-            off = used & free_now[p.row].any(axis=1)
-            at, free = p.row[off], free_now[p.row[off]]
-            in_frame = np.where(free[:, :, None], link.coupling.rows[at] @ blocks[off], 0.0)
-            kept = blocks.copy()
-            kept[off] -= link.coupling.R[at] @ in_frame
-            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0
-            on = used & kept.any(axis=(1, 2))
-            C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
-            E.append((link.nodes[p.row[off]], p.column[off], in_frame))
+            free = link.constrained & ~is_held[d * link.nodes[:, None] + np.arange(d)]
+            all_free = free.any(axis=1) & (free == link.constrained).all(axis=1)
+            in_frame = np.where(free[p.row][:, :, None], link.coupling.rows[p.row] @ blocks, 0.0)
+            kept = blocks - link.coupling.R[p.row] @ in_frame
+            kept[all_free[p.row]] = 0.0  # without round-off
+            for found, values in ((C, kept), (E, in_frame)):
+                on = here[p.row] & values.any(axis=(1, 2))
+                found.append((link.nodes[p.row[on]], p.column[on], values[on]))
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
-        """Return w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
-        difference, d = u.copy(), self.V.dofmap.index_map_bs
-        for k, _, here in self.parts:
-            moved = (links[k].Q * u).array_r.reshape(-1, d)
-            nodes = links[k].nodes[here]  # others have no row in T
-            difference.array.reshape(-1, d)[nodes] -= moved[nodes]
-        y = u.copy()
+        """Return w_j = R_j^-1 (u_j - sum_l Q_jl u_l) = u_j - R_j^-1 (C u)_j; collective."""
+        y, d = u.copy(), self.V.dofmap.index_map_bs
+        change = (self.C * u).array_r.reshape(-1, d)
         for k, mine, _ in self.parts:
             nodes, rows = links[k].nodes[mine], links[k].coupling.rows[mine]
-            slip = difference.array_r.reshape(-1, d)[nodes]
-            y.array.reshape(-1, d)[nodes] = np.einsum("nij,nj->ni", rows, slip)
+            y.array.reshape(-1, d)[nodes] -= np.einsum("nij,nj->ni", rows, change[nodes])
         return y
 
 

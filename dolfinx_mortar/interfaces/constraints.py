@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
-from dolfinx_mortar.common.spaces import check_nodal
+from dolfinx_mortar.common.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
 
 
@@ -262,11 +262,7 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
         return FrictionLaw(name, value)
     elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")
-    if value.ufl_shape != () or not np.issubdtype(_dtype(value), np.floating):
-        raise ValueError(f"{name} has shape {value.ufl_shape} and type {_dtype(value)}: {REMEDY}")
+    check_real(name, value)
+    if value.ufl_shape != ():
+        raise ValueError(f"{name} has shape {value.ufl_shape}: {REMEDY}")
     return FrictionLaw(name, value)
-
-
-def _dtype(value: fem.Function | fem.Constant) -> np.dtype:
-    array = value.x.array if isinstance(value, fem.Function) else value.value
-    return np.asarray(array).dtype

@@ -20,7 +20,7 @@ from dolfinx_mortar.common.spaces import check_mesh
 from dolfinx_mortar.common.tags import label, tag_of
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
-from dolfinx_mortar.interfaces.contact_tangent import ContactDerivatives
+from dolfinx_mortar.interfaces.contact_tangent import LinkDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -146,10 +146,6 @@ class MortarInterface(Interface):
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
 
-    def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
-        """See `Interface.derivatives`; collective."""
-        return ContactDerivatives(link) if self.unilateral else None
-
     def couple(
         self,
         sides: Sides,
@@ -233,6 +229,10 @@ class Unilateral(Interface):
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Nodes (n, 1) whose normal is not prescribed."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
+
+    def derivatives(self, link: CoupledSides) -> LinkDerivatives:
+        """See `Interface.derivatives`; collective."""
+        return LinkDerivatives(link, self.tool)
 
     def _of_friction(self, name: str) -> fem.Function:
         if self.law is None:

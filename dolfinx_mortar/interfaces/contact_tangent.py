@@ -25,16 +25,15 @@ from dolfinx_mortar.algebra.csr import (
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
 from dolfinx_mortar.interfaces.coupling import CoupledSides, on_facets
-from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners
+from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.common_normals import carried, in_planes
 from dolfinx_mortar.mortar.curvature_correction import side_slopes
 from dolfinx_mortar.mortar.duals import find_duals
 from dolfinx_mortar.mortar.integrals import some_points
-from dolfinx_mortar.mortar.operators import WholeSide, rule_of, whole_facets
+from dolfinx_mortar.mortar.operators import rule_of, whole_facets
 from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.surface import (
-    Surface,
     accumulate,
     coordinates,
     facets_at,
@@ -58,55 +57,37 @@ class Unknowns:
     size_global: int
 
 
-def slip_rows(
-    link: CoupledSides, partners: Partners, along: Floats, turning: Floats, normals: PETSc.Mat
-) -> scipy.sparse.csr_array:
-    """Rows (d n, unknowns) of added slips s.(du_j - P du) + m.dt; 0 of normals, without partners.
-
-    The vectors s (n, d - 1, d) are t, which turns with the normal, and `turning` (n, d - 1, d) the
-    derivatives of m.dt by the normals, m being the present motion; on tools, where m depends on
-    the normal, s = t.dm/dx_j and `turning` has t.dm/dn_j, too.
-    """
-    (n, _, d), nodes = along.shape, link.nodes
-    P, first = owned_rows(partners.P)[nodes], link.sides.V.dofmap.index_map.local_range[0]
-    own = scipy.sparse.csr_array((np.ones(n), nodes + first, np.arange(n + 1)), shape=P.shape)
-    moved = scipy.sparse.kron(own - P, scipy.sparse.eye_array(d), format="csr")
-    turned = owned_rows(normals)[(d * nodes[:, None] + np.arange(d)).ravel()]
-    row, column = d * np.arange(n)[:, None, None] + np.indices((d, d))[:, 1:, :][:, None]
-    parts = []
-    for vectors, rows in ((along, moved), (turning, turned)):
-        known = vectors * partners.known[:, None, None]
-        at = row.ravel(), column.ravel()
-        parts.append(scipy.sparse.coo_array((known.ravel(), at), (d * n, d * n)).tocsr() @ rows)
-    return scipy.sparse.csr_array(parts[0] + parts[1])
-
-
-class ContactDerivatives:
+class LinkDerivatives:
     """Derivatives of the forces and weighted gaps of one contact, F_x + F_n C + F_p N.
 
     C are derivatives of contact normals, N of averaged ones (for projections in 2D).
     """
 
-    def __init__(self, link: CoupledSides) -> None:
+    def __init__(self, link: CoupledSides, tool: Tool | None) -> None:
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
-        assert pairing is not None
-        self._found, pairs = pairing, pairing.pairs
+        self._found, self._tool = pairing, tool
         n, d = len(slave.nodes), V.dofmap.index_map_bs
-        master = pairing.master_facets[pairs[:, 1]]
-        on_slave = incidence_of(slave)
-        shape = len(slave.facets), len(pairing.master_nodes)
-        on_both = scipy.sparse.hstack([on_slave, incidence(pairs[:, 0], master, shape)]).tocsr()
-        nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
-        both = np.concatenate([nodes, pairing.master_nodes])
+        facets: Ints = np.arange(len(slave.facets), dtype=np.int32)
+        on_slave = on_both = incidence(facets, slave.facets, (len(facets), n))
+        nodes = both = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
+        if pairing is not None:
+            pairs, shape = pairing.pairs, (len(facets), len(pairing.master_nodes))
+            on_master = incidence(pairs[:, 0], pairing.master_facets[pairs[:, 1]], shape)
+            on_both = scipy.sparse.hstack([on_slave, on_master]).tocsr()
+            both = np.concatenate([nodes, pairing.master_nodes])
         by_x = (d * both[:, None] + np.arange(d)).ravel()
         by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
         of = V.mesh.comm, layout_of(V)
-        self.averaged = _averaged(slave)
-        N = self.averaged.zero()
-        x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
-        y = BlockEntries(on_slave.T @ on_slave, (d, d), by_n, by_n)
-        self.normals = _Normals(link, x, y, N)
-        turned = [self.normals.zero()] if _in_space(link) else [self.normals.zero(), N]
+        self.normals: _Normals | Triplets
+        if tool is not None:
+            self.normals = _between_nodes(V, link.nodes[:, None])
+        else:
+            self.averaged = _between_nodes(V, slave.nodes[slave.facets])
+            x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
+            y = BlockEntries(on_slave.T @ on_slave, (d, d), by_n, by_n)
+            self.normals = _Normals(link, x, y, self.averaged.zero())
+        self.in_plane = d == 2 and tool is None
+        turned = [self.normals.zero(), *([self.averaged.zero()] if self.in_plane else [])]
         by_forces, by_gaps = (
             [(BlockEntries(pattern.T @ on_slave, (i, d), rows, by_n), A) for A in turned]
             for pattern, i, rows in ((on_both, d, forces), (on_slave, 1, gaps))
@@ -118,9 +99,11 @@ class ContactDerivatives:
 
     def serves(self, link: CoupledSides) -> bool:
         """Whether a link has the same pairs."""
-        new, _ = link.mortar
         names = "pairs", "master_facets", "master_nodes"
-        return all(np.array_equal(getattr(self._found, v), getattr(new, v)) for v in names)
+        both = self._found, link.pairing
+        return self._tool is not None or all(
+            np.array_equal(*(getattr(one, name) for one in both)) for name in names
+        )
 
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
@@ -130,36 +113,58 @@ class ContactDerivatives:
         The next call refills the matrices. In space known rows are those near loaded facets.
         Multipliers are lambda_j (owned nodes,), tangential tractions (owned nodes, d).
         """
-        slave, (pairing, operators) = link.sides.slave, link.mortar
-        x = coordinates(slave, u)
+        slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
         known: Bools = np.ones(len(x), dtype=bool)
-        segments = operators.segments
-        if _in_space(link):
-            loaded: Bools = np.asarray(given.tractions.any(axis=1))
-            known = on_facets(slave, loaded[slave.facets].any(axis=1))
-            asked: Bools = np.asarray(known[slave.facets].any(axis=1))
-            segments = some_points(segments, asked[segments.slave])
-        common = link.coupling.common
-        assert common is not None
-        at = pairing, u, segments, keep, given, link.pattern.smooth
-        found = differentiate(*at, receive(pairing, common.of_master))
-        N = self.averaged.fill(normal_derivatives(slave, x))
-        C = self.normals.fill(link, u, found)
-        along = [] if _in_space(link) else [(found.F_p, found.G_p, N)]
-        parts = [(found.F_n, found.G_n, C), *along]
+        C: PETSc.Mat
+        if self._tool is not None:
+            assert isinstance(self.normals, Triplets)
+            found = _below_tool(link, self._tool, u, given, keep)
+            C = self.normals.fill(_turning(self._tool, x[: slave.owned])[:, None, :, None])
+        else:
+            assert isinstance(self.normals, _Normals)
+            (pairing, operators), common = link.mortar, link.coupling.common
+            segments = operators.segments
+            if not self.in_plane:
+                loaded: Bools = np.asarray(given.tractions.any(axis=1))
+                known = on_facets(slave, loaded[slave.facets].any(axis=1))
+                asked: Bools = np.asarray(known[slave.facets].any(axis=1))
+                segments = some_points(segments, asked[segments.slave])
+            assert common is not None
+            at = pairing, u, segments, keep, given, link.pattern.smooth
+            found = differentiate(*at, receive(pairing, common.of_master))
+            N = self.averaged.fill(normal_derivatives(slave, x))
+            C = self.normals.fill(link, u, found)
+        parts = [(found.F_n, found.G_n, C)]
+        parts += [(found.F_p, found.G_p, N)] if self.in_plane else []
         F = self.forces.fill(found.F_x, *((F_n, A) for F_n, _, A in parts))
         G = self.gaps.fill(found.G_x, *((G_n, A) for _, G_n, A in parts))
         return F, G, known[: slave.owned]
 
     def slips(
-        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
+        self, link: CoupledSides, partners: Partners, since: PETSc.Vec
     ) -> scipy.sparse.csr_array:
-        """See `slip_rows`, at the last differentiated iterate; collective."""
-        tangents = link.coupling.rows[:, 1:]
+        """Rows (d n, unknowns) of slips t.m at the last iterate; 0 of normals, without partners.
+
+        By the motions du_j - P du, and by the normals, also as the tangents t turn along n;
+        collective.
+        """
+        tangents, nodes = link.coupling.rows[:, 1:], link.nodes
+        n, _, d = tangents.shape
+        by_x, by_n = partners.derivatives(link, since)
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
-        turned = -along[:, None, None] * tangents  # tangents change along n only
-        return slip_rows(link, partners, tangents, turned, self.normals.zero())
+        by_n = by_n - along[:, None, None] * np.eye(d)
+        P, first = owned_rows(partners.P)[nodes], link.sides.V.dofmap.index_map.local_range[0]
+        own = scipy.sparse.csr_array((np.ones(n), nodes + first, np.arange(n + 1)), shape=P.shape)
+        moved = scipy.sparse.kron(own - P, scipy.sparse.eye_array(d), format="csr")
+        turned = owned_rows(self.normals.zero())[(d * nodes[:, None] + np.arange(d)).ravel()]
+        row, column = d * np.arange(n)[:, None, None] + np.indices((d, d))[:, 1:, :][:, None]
+        parts = []
+        for vectors, rows in ((tangents @ by_x, moved), (tangents @ by_n, turned)):
+            known = vectors * partners.known[:, None, None]
+            at = row.ravel(), column.ravel()
+            parts.append(scipy.sparse.coo_array((known.ravel(), at), (d * n, d * n)).tocsr() @ rows)
+        return scipy.sparse.csr_array(parts[0] + parts[1])
 
 
 class _Normals:
@@ -173,7 +178,9 @@ class _Normals:
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
         d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
-        self._d, self._N, self._of_master = d, N, _averaged(link.sides.master)
+        master = link.sides.master
+        self._d, self._N = d, N
+        self._of_master = _between_nodes(V, master.nodes[master.facets])
         own = V.dofmap.index_map.local_to_global(link.nodes).astype(np.int64)
         self._row = pattern.row[pattern.split :]
         columns, place = np.unique(pattern.column[pattern.split :], return_inverse=True)
@@ -192,9 +199,14 @@ class _Normals:
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
-        assert master is not None and common is not None
-        N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
+        master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
+        assert master is not None and spreads is not None and common is not None
+        x, own, M = coordinates(master, u), np.zeros(master.X.shape), link.mortar[1].M[:, :1]
+        n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
+        own[: master.owned] = common.of_master
+        by_n = (carried(n, accumulate(master, own)) @ by_n)[master.facets]
+        terms = normal_derivatives(master, x)
+        N_m = self._of_master.fill(np.einsum("mkij,mkjla->mkila", by_n, terms, optimize=True))
         at = M[:, :, None, None, None] * np.eye(self._d)[:, None]
         facing = self._facing.fill(
             found.b_x,
@@ -208,29 +220,15 @@ class _Normals:
         return self._sum.fill([], (by_slave, self._N), (by_master, facing))
 
 
-def _in_planes(link: CoupledSides, x: Floats) -> Floats:
-    master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
-    assert master is not None and spreads is not None and common is not None
-    n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
-    own = np.zeros_like(x)
-    own[: master.owned] = common.of_master
-    by_n = carried(n, accumulate(master, own)) @ by_n
-    terms = normal_derivatives(master, x)
-    return np.einsum("mkij,mkjla->mkila", by_n[master.facets], terms, optimize=True)
-
-
-def _averaged(surface: Surface) -> Triplets:
-    V, d = surface.V, surface.X.shape[1]
-    nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
-    at = (d * nodes[:, None] + np.arange(d))[surface.facets]
+def _between_nodes(V: fem.FunctionSpace, nodes: Ints) -> Triplets:
+    """Matrix of blocks between local nodes (m, k) of facets, or of one node each."""
+    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
+    globally = index_map.local_to_global(nodes.ravel()).astype(np.int64).reshape(nodes.shape)
+    at = d * globally[:, :, None] + np.arange(d)
     block = *at.shape, *at.shape[1:]
     rows = np.broadcast_to(at[:, :, :, None, None], block)
     columns = np.broadcast_to(at[:, None, None], block)
     return Triplets(V.mesh.comm, layout_of(V), rows, columns)
-
-
-def _in_space(link: CoupledSides) -> bool:
-    return link.sides.V.mesh.topology.dim == 3
 
 
 def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> scipy.sparse.csr_array:
@@ -238,12 +236,6 @@ def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> scipy.sparse
     rows = np.repeat(facets, nodes.shape[1])
     ones = np.ones(len(rows), dtype=bool)  # sums of small integers may overflow to 0
     return scipy.sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
-
-
-def incidence_of(side: Surface) -> scipy.sparse.csr_array:
-    """Incidence of all facets of a side and its nodes."""
-    facets: Ints = np.arange(len(side.facets), dtype=np.int32)
-    return incidence(facets, side.facets, (len(facets), len(side.nodes)))
 
 
 def layout_of(V: fem.FunctionSpace) -> Unknowns:
@@ -271,79 +263,38 @@ def tractions_of(
     return Tractions(n, traction, change.reshape(-1, d, d)), mark[:, 0] > 0
 
 
-class ToolDerivatives:
-    """Derivatives for all facets of a side below a tool."""
-
-    def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
-        V, slave = link.sides.V, link.sides.slave
-        self.side, self.tool = side, tool
-        n, d = len(slave.nodes), V.dofmap.index_map_bs
-        among = incidence_of(slave)
-        nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
-        dofs = (d * nodes[:, None] + np.arange(d)).ravel()
-        pattern = among.T @ among
-        of = V.mesh.comm, layout_of(V)
-        alone = scipy.sparse.eye_array(n, format="csr")
-        self.F = SumWithProducts(*of, BlockEntries(pattern, (d, d), dofs, dofs))
-        self.G = SumWithProducts(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
-        self.N = SumWithProducts(*of, BlockEntries(alone, (d, d), dofs, dofs))
-
-    def serves(self, link: CoupledSides) -> bool:
-        """True: the pattern is that of the side."""
-        return True
-
-    def differentiate(
-        self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
-    ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """See `ContactDerivatives`; collective."""
-        slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
-        pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
-        given, keep = tractions_of(link, multipliers, tangential)
-        facing = find_facing(side, pose, shape, x)
-        segments, points = whole_facets(side, x, facing)
-        assert isinstance(link.pattern, SidePattern)
-        phi, found = point_gaps(link.pattern, pose, shape, u, segments, points)
-        which, facets = np.flatnonzero(facing), facets_at(slave, x)[facing]
-        nodes, k = slave.facets[which], slave.element.nodes
-        slope = found.gradient[:, None]
-        if link.pattern.nodal:
-            slope = found.gradient[slave.facets[segments.slave]]
-        by_x = segments.N[:, :, None] * slope
-        if link.pattern.own is not None and not link.pattern.nodal:
-            by_x -= side_slopes(slave, link.pattern.own, u, segments.slave, segments.xi_s)
-        xi, _ = rule_of(slave.element)
-        per_point = slave.element.size * segments.weight.reshape(-1, len(xi))
-        per_point /= np.linalg.norm(scaled_normals(facets, xi), axis=2)
-        duals = find_duals(side, segments, keep).of(which)
-        at = per_point, phi.reshape(per_point.shape), by_x.reshape(*per_point.shape, k, d)
-        forces, gaps, D = differentiate_whole(facets, xi, *at, duals, given.tractions[nodes])
-        forces += np.einsum("fjl,fjic->flijc", D, (given.changes @ self._turning(x))[nodes])
-        known = np.ones(slave.owned, dtype=bool)
-        F = self.F.fill([Blocks(nodes, nodes, forces)])
-        return F, self.G.fill([Blocks(nodes, nodes, gaps[:, :, None])]), known
-
-    def slips(
-        self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
-    ) -> scipy.sparse.csr_array:
-        """See `ContactDerivatives`; collective."""
-        slave, x = link.sides.slave, coordinates(link.sides.slave, u)
-        assert isinstance(partners, ToolPartners)
-        by_x, by_n = partners.derivatives(link, since)
-        along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
-        by_n -= along[:, None, None] * np.eye(by_n.shape[1])
-        tangents = link.coupling.rows[:, 1:]
-        turned = self._turning(x)
-        turned[slave.owned :] = 0.0
-        alone = np.arange(len(turned))[:, None]
-        N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
-        return slip_rows(link, partners, tangents @ by_x, tangents @ by_n, N)
-
-    def _turning(self, x: Floats) -> Floats:
-        """Derivatives dn_j/dx_j (n, d, d), n = -grad phi / |grad phi|."""
-        found = self.tool.pose().distance(self.tool.asked, x)
-        size, g = unit_vectors(found.gradient)
-        across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
-        return np.asarray(-across @ found.hessian / np.maximum(size, TINY)[:, None, None])
+def _turning(tool: Tool, x: Floats) -> Floats:
+    """Derivatives dn_j/dx_j (n, d, d) below a tool, n = -grad phi / |grad phi|; collective."""
+    at = tool.distance(x)
+    size, g = unit_vectors(at.gradient)
+    across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
+    return np.asarray(-across @ at.hessian / np.maximum(size, TINY)[:, None, None])
 
 
-LinkDerivatives = ContactDerivatives | ToolDerivatives
+def _below_tool(
+    link: CoupledSides, tool: Tool, u: fem.Function, given: Tractions, keep: Bools
+) -> Derivatives:
+    """Derivatives on all facets that face a tool; collective."""
+    slave, pattern, x = link.sides.slave, link.pattern, coordinates(link.sides.slave, u)
+    assert isinstance(pattern, SidePattern) and pattern.side is not None
+    side, d = pattern.side, x.shape[1]
+    facing = find_facing(side, tool, x)
+    segments, points = whole_facets(side, x, facing)
+    phi, found = point_gaps(pattern, tool, u, segments, points)
+    which, facets = np.flatnonzero(facing), facets_at(slave, x)[facing]
+    nodes, k = slave.facets[which], slave.element.nodes
+    slope = found.gradient[:, None]
+    if pattern.nodal:
+        slope = found.gradient[slave.facets[segments.slave]]
+    by_x = segments.N[:, :, None] * slope
+    if pattern.own is not None and not pattern.nodal:
+        by_x -= side_slopes(slave, pattern.own, u, segments.slave, segments.xi_s)
+    xi, _ = rule_of(slave.element)
+    per_point = slave.element.size * segments.weight.reshape(-1, len(xi))
+    per_point /= np.linalg.norm(scaled_normals(facets, xi), axis=2)
+    duals = find_duals(side, segments, keep).of(which)
+    at = per_point, phi.reshape(per_point.shape), by_x.reshape(*per_point.shape, k, d)
+    forces, gaps, D = differentiate_whole(facets, xi, *at, duals, given.tractions[nodes])
+    by_n = np.einsum("fjl,fjic->flijc", D, given.changes[nodes])
+    F_x, F_n, G_x = ([Blocks(nodes, nodes, v)] for v in (forces, by_n, gaps[:, :, None]))
+    return Derivatives(F_x, F_n, G_x, G_n=[])

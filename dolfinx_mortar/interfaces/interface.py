@@ -33,7 +33,7 @@ from dolfinx_mortar.interfaces.coupling import (
     mark,
 )
 from dolfinx_mortar.interfaces.results import Results
-from dolfinx_mortar.interfaces.tool import Driven, RigidBody, Tool
+from dolfinx_mortar.interfaces.tool import RigidBody, Tool
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.mirrors import judge_supports
@@ -202,8 +202,12 @@ class Interface(Collective, Results, ABC):
         """Derivatives for the pattern of a link, or None; collective."""
         return None
 
-    def driven(self) -> Driven | None:
-        """Motions driven by given forces, or None if all are prescribed."""
+    def driven(self) -> Any:
+        """Object with motions driven by given forces, or None if all are prescribed.
+
+        With `holds`, `names`, `loads`, `motions` and `move` of `RigidBody`, and where it holds the
+        side also `curve` of `Plate`.
+        """
         return self.rigid if self.rigid is not None and self.rigid.load else None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:

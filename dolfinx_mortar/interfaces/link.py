@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem, la
+from dolfinx import la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import with_ghosts
@@ -173,12 +173,12 @@ def set_results_of(
     if choices > 1:  # prescribed components are those of neighbours
         traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
     normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
-    _fill(found.pressure, link, np.where(kept, normal, 0.0), kept)
-    found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
-    _fill(found.gap, link, gap, kept)
-    _fill(found.active, link, active.astype(np.float64), kept)
+    columns = np.column_stack([np.where(kept, normal, 0.0), gap, active])
+    shown = _extended(link, columns, kept[:, None])
+    shown[~link.sides.on_slave] = 0.0
+    found.pressure.x.array[:], found.gap.x.array[:] = np.nan_to_num(shown[:, 0]), shown[:, 1]
     # nodes on the axis, without weight, are active with a neighbour
-    around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
+    around = link.coupling.coverage.weightless & (shown[link.nodes, 2] > 0.0)
     found.active.x.array[:] = 0.0
     found.active.x.array[link.nodes] = active | around
     found.active.x.scatter_forward()
@@ -242,11 +242,6 @@ def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[floa
     return ratio(force, whole[3]), ratio(moment, total[6] + h * whole[3])
 
 
-def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
-    result = _extended(link, values[:, None], kept[:, None])[:, 0]
-    function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
-
-
 def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
     """Nodal values (local nodes, k) of those (n, k) at kept slave nodes; collective.
 
@@ -255,6 +250,7 @@ def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
     sides, k = link.sides, values.shape[1]
     vector = la.vector(sides.V.dofmap.index_map, 2 * k)
     array = vector.array.reshape(-1, 2, k)
+    kept = np.broadcast_to(kept, values.shape)
     array[link.nodes] = np.stack([np.where(kept, values, 0.0), kept], axis=1)
     vector.scatter_forward()
     known = array.copy()

@@ -23,7 +23,7 @@ import scipy
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -70,7 +70,7 @@ class GeometryTangent:
             self.rows.append(gaps)
             slid = None
             if partners and (partner := partners[k]) is not None:
-                slid = contact.slips(link, u, partner, since), partner.known
+                slid = contact.slips(link, partner, since), partner.known
                 self.rows.append(_matrix(link, slid[0], gaps))
             moved[k] = _trial(link, gaps, known, slid)
         self.trial.update(moved)
@@ -151,22 +151,10 @@ def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split
     used |= coupling.P[:, 0] != 0.0
-    (n, N), d = rows.shape, coupling.R.shape[1]
-    rows.sort_indices()
-    row = np.repeat(np.arange(n), np.diff(rows.indptr))
-    parts = np.bincount(d * row + rows.indices % d, rows.data, minlength=d * n)
-    own = np.asarray(parts, dtype=np.float64).reshape(n, d)
-    keys = row * N + rows.indices.astype(np.int64)
-    p = np.zeros((len(used), d))
-    first = pattern.row[used] * np.int64(N) + d * pattern.column[used]
-    for i in range(d):
-        p[used, i] = -_values_at(keys, rows.data, first + i)
-        own[:, i] += np.bincount(pattern.row, p[:, i], minlength=n)
+    n, d = coupling.R.shape[:2]
+    own, p = np.zeros((n, d)), np.zeros((len(used), d))
+    np.add.at(own, (np.repeat(np.arange(n), np.diff(rows.indptr)), rows.indices % d), rows.data)
+    at = d * pattern.column[used, None] + np.arange(d)
+    p[used] = -rows[pattern.row[used, None], at].toarray()
+    np.add.at(own, pattern.row, p)
     return own, p
-
-
-def _values_at(keys: Longs, values: Floats, asked: Longs) -> Floats:
-    if not len(keys):
-        return np.zeros(len(asked))
-    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
-    return np.where(keys[place] == asked, values[place], 0.0)

@@ -16,12 +16,11 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
-from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -42,7 +41,7 @@ from dolfinx_mortar.interfaces.tool import (
 )
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.duals import Coverage
-from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, means
+from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, mean_values
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     coordinates,
@@ -113,7 +112,9 @@ class Obstacle(Movable, Unilateral):
         super().__init__(facet_tags, slave=slave)
         named = check_optional("surface", surface, SURFACES)
         self.meant = None if named is None else named == "smooth"  # None: by the order
-        self.rigid = self.tool = Tool(shape, reference, facet_tags.topology.dim)
+        self.rigid = self.tool = Tool(
+            facet_tags.topology.comm, shape, reference, facet_tags.topology.dim
+        )
         self.load = load or {}
         self.law = create_law(friction, tresca)
 
@@ -140,7 +141,6 @@ class Obstacle(Movable, Unilateral):
         """Assign to a problem; slips count from here; collective."""
         super().take(owner, V)
         self.tool.began = self.tool.pose()
-        self.tool.asked.alone = V.mesh.comm.size == 1
 
     def pair(
         self,
@@ -157,22 +157,18 @@ class Obstacle(Movable, Unilateral):
         plain = create_pattern(sides, side.row, side.column, len(side.row))
         slave, own = sides.slave, None
         faceted: Bools | None = None
-        second = slave.element.degree > 1
-        smooth = self.meant is not False
+        second, smooth = slave.element.degree > 1, self.meant is not False
         if smooth if second else not self.meant:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         if not second and own is not None:
             # only facets of flat sides see a tip between the nodes
-            limit = HALF_OF_DIGITS * mean_facet_length(slave)
-            bent = (np.abs(own.sagitta) > limit).any(axis=1)
-            on = on_facets(slave, bent)[: slave.owned]
+            bent = np.abs(own.sagitta) > HALF_OF_DIGITS * mean_facet_length(slave)
+            on = on_facets(slave, bent.any(axis=1))[: slave.owned]
             is_round = any_rank(sides.V.mesh.comm, on.any())[0]
             faceted = on if is_round and not smooth else None
-            smooth = smooth and is_round
-            own = own if smooth else None
-        at = plain.row, plain.column, plain.split, plain.blocks, plain.scalars
+            own, smooth = None, smooth and is_round
         nodal = smooth and not second
-        return None, SidePattern(*at, side=side, own=own, nodal=nodal, faceted=faceted)
+        return None, SidePattern(**vars(plain), side=side, own=own, nodal=nodal, faceted=faceted)
 
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
@@ -180,9 +176,7 @@ class Obstacle(Movable, Unilateral):
         """See `Interface.measure_coverage`; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
-        with raised_together(sides.V.mesh.comm):
-            close = self.tool.pose().distance(self.tool.asked, coordinates(slave, u)).value
-        near = np.asarray(close <= FACETS * length)
+        near = np.asarray(self.tool.distance(coordinates(slave, u)).value <= FACETS * length)
         reached = on_facets(slave, near[slave.facets].any(axis=1))[own]
         return Coverage(reached.astype(np.float64), reached, np.zeros_like(reached), near[own])
 
@@ -198,11 +192,9 @@ class Obstacle(Movable, Unilateral):
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
-        with raised_together(comm):  # errors of users
-            pose = self.tool.pose()
-            at_nodes = pose.distance(self.tool.asked, x)
+        at_nodes, facing = self.tool.distance(x), find_facing(side, self.tool, x)
+        with raised_together(comm):
             self._check_distance(at_nodes, x, side.facet_length)
-            facing = find_facing(side, pose, self.tool.asked, x)
         size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
         into = -at_nodes.gradient / size[:, None]
         _, left = free_directions(into, sides.fixed[slave.nodes])
@@ -211,8 +203,9 @@ class Obstacle(Movable, Unilateral):
         if any_rank(comm, banned[slave.nodes].any())[0]:
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
-        gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
-        at = means(side, found, np.column_stack([found.x, gaps]))
+        gaps, _ = point_gaps(pattern, self.tool, u, found.segments, found.x)
+        columns = np.column_stack([found.x, gaps])
+        at = mean_values(side, found.segments, found.Phi, found.weight, columns)
         # the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(into[own] * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
@@ -239,11 +232,6 @@ class Obstacle(Movable, Unilateral):
                 "give phi / abs(grad phi), or the distance itself"
             )
 
-    def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """See `Interface.derivatives`; collective."""
-        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
-        return ToolDerivatives(link, link.pattern.side, self.tool)
-
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warn of a tool that no facet faces or that starts in the body; collective."""
         sides, comm = link.sides, link.sides.V.mesh.comm
@@ -255,23 +243,22 @@ class Obstacle(Movable, Unilateral):
                 f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
                 "of the tool, towards the body: turn it round if it does not"
             ]
-        depth = np.where(kept, -self.tool.began.distance(self.tool.asked, at).value, -np.inf)
+        depth = -self.tool.distance(at, self.tool.began).value[kept]
         deepest = depth.max(initial=-np.inf)
-        mine = at[int(np.argmax(depth))].tolist() if len(at) else []
+        mine = at[kept][int(np.argmax(depth))].tolist() if len(depth) else []
         most, place = max(comm.allgather((float(deepest), mine)))
         if most <= mean_facet_length(sides.slave):
             return []
-        shallowest = -float(maximum(comm, (-depth[kept]).max(initial=-np.inf))[0])
-        where = f"({', '.join(f'{c:.4g}' for c in place)})"
-        if shallowest > 0.0:
+        where = f"{most:.3g} deep, around ({', '.join(f'{c:.4g}' for c in place)})"
+        if not any_rank(comm, (depth <= 0.0).any())[0]:
             raise ValueError(
-                f"{self!r}: at its start the tool contains the whole side, up to {most:.3g} deep, "
-                f"around {where}; the normal of a tool has to point out of the tool, towards the "
-                "body: reverse it, or let the tool start beside the body"
+                f"{self!r}: at its start the tool contains the whole side, up to {where}; the "
+                "normal of a tool has to point out of the tool, towards the body: reverse it, or "
+                "let the tool start beside the body"
             )
         return [
-            f"{self!r}: at its start the tool lies {most:.3g} deep in the body around {where}, "
-            "more than a facet, which the first step has to remove: let it start beside the body"
+            f"{self!r}: at its start the tool lies in the body, up to {where}, more than a facet, "
+            "which the first step has to remove: let it start beside the body"
         ]
 
     @property

@@ -16,57 +16,30 @@ from dolfinx_mortar.common.arguments import array, check
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Force
-from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
+from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, create_coupling
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Movable, Pose, RigidBody, spun
+from dolfinx_mortar.interfaces.tool import Movable, RigidBody, spun
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 
 
 class Plate(RigidBody):
-    """Rigid body glued to a side; rotations are linearised if `small`."""
+    """Rigid body glued to a side."""
 
     holds = True
 
-    def __init__(self, point: Floats) -> None:
-        super().__init__(point)
-        self.small = True
-
-    def ahead(self, amounts: Floats) -> Floats:
-        """See `RigidBody`."""
-        return self.travel + self.steps(amounts) if self.small else super().ahead(amounts)
-
-    def turned(self, arm: Floats, rotation: Floats) -> Floats:
-        """Arms (n, d) turned by a rotation."""
-        if not self.small:
-            origin = np.zeros(len(self.point))
-            return Pose(origin, rotation, origin).to_space(arm)
-        return arm + spun(arm, rotation)
-
-    def place(self) -> Floats:
-        """See `RigidBody`; the initial position at small strain."""
-        return self.point if self.small else super().place()
-
-    def moved(self, X: Floats, travel: Floats | None = None) -> Floats:
-        """Positions (n, d) of points that started at X, at present or with a travel."""
-        travel = self.travel if travel is None else travel
-        pose, d = self.pose(travel), len(self.point)
-        rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
-        rotation = rotation + travel[d:] if self.small else pose.rotation
-        return np.asarray(self.turned(X - self.point, rotation) + pose.position)
-
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """See `Driven`."""
-        if self.small:
+        """Motion by amounts (m,) minus its linearisation (n, d) at X."""
+        if self.linear:  # exactly: the first steps in time are as small as round-off
             return np.zeros_like(X)
         way = np.tensordot(amounts, self.motions(X, X, np.zeros_like(amounts)), 1)
-        return self.moved(X, self.ahead(amounts)) - self.moved(X) - way
+        return self.pose(self.ahead(amounts)).to_space(X) - self.pose().to_space(X) - way
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """See `Driven`."""
+        """See `RigidBody`."""
         arm = X - self.point
-        if not self.small:
-            arm = self.turned(arm, self.pose().rotation)
+        if not self.linear:
+            arm = arm @ self.pose().R.T
             arm = arm + spun(arm, self.steps(moved)[len(self.point) :])
         return self.along(arm)
 
@@ -116,8 +89,8 @@ class RigidSide(Movable, Interface):
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Set the kinematics: forces act at X at small strain."""
-        self.rigid.revolved, self.rigid.small = revolved, strain == "small"
-        self.stays = self.rigid.small
+        self.rigid.revolved = revolved
+        self.rigid.linear = self.stays = strain == "small"
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Surface in V; a ValueError for nodes with Dirichlet conditions; collective."""
@@ -144,16 +117,14 @@ class RigidSide(Movable, Interface):
             areas = areas * sides.weight(slave.X[slave.facets].mean(axis=1))
         areas = np.repeat(areas[:, None, None], slave.facets.shape[1], axis=1)
         areas = sum_at_nodes(slave, areas)[: slave.owned]
-        fixed = sides.fixed[sides.nodes]
-        return Coupling(
-            blocks=np.zeros((0, d, d)),
-            P=np.zeros((0, 1)),
-            R=np.broadcast_to(np.eye(d), (n, d, d)),
-            slot=np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32),
-            directions=~fixed,
-            kept=np.ones((n, 1), dtype=bool),
-            weight=np.maximum(areas, TINY),
-            normals=nodal_normals(slave, x)[: slave.owned],
+        return create_coupling(
+            pattern,
+            np.zeros((0, d)),
+            nodal_normals(slave, x)[: slave.owned],
+            sides.fixed[sides.nodes],
+            np.ones((n, d), dtype=bool),
+            tangential=True,
+            weight=np.tile(np.maximum(areas, TINY), d),
             heights=np.zeros(n),
             coverage=full_coverage(sides),
         )
@@ -169,7 +140,7 @@ class RigidSide(Movable, Interface):
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats:
         """Displacement of the plate (n, d) at the nodes."""
         X = V.tabulate_dof_coordinates()[nodes, : len(self.reference)]
-        return self.rigid.moved(X) - X
+        return self.rigid.pose().to_space(X) - X
 
     @property
     def reference_moment(self) -> Floats:

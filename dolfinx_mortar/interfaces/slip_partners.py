@@ -25,8 +25,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import Triplets
-from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
 from dolfinx_mortar.mortar.surface import accumulate
@@ -68,6 +67,12 @@ class Partners:
         tilt = (self.along * link.coupling.normals).sum(axis=1) / np.maximum(1.0 + cosine, EPS)
         whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
         return np.asarray(whole + tilt[:, None] * both)
+
+    def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
+        """Derivatives (n, d, d) of the motion by that of x_j - P x and by n, along tangents."""
+        n, d = self.normals.shape
+        one = np.tile(np.eye(d), (n, 1, 1))
+        return one, 0.0 * one
 
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Motion (n, d) by ``moved``, in present frames; collective."""
@@ -125,17 +130,14 @@ class ToolPartners(Partners):
         at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
         if frozen:
             at = link.sides.slave.X[: link.sides.slave.owned]
-        began = tool.began
-        place = began.to_tool(at)
-        with raised_together(link.sides.V.mesh.comm):
-            found = tool.asked.distance(place)
+        began, found = tool.began, tool.distance(at, tool.began)
         known = np.ones(len(n), dtype=bool)
         whole = scalars.matrix.copy(), known, n, np.zeros(len(n)), 0.0 * n
         return cls(
             *whole,
             at=at,
-            place=place - found.value[:, None] * found.gradient,
-            into=-found.gradient,
+            place=began.to_tool(at - found.value[:, None] * found.gradient),
+            into=-found.gradient @ began.R,
             tool=tool,
             began=began,
             frozen=frozen,
@@ -153,48 +155,40 @@ class ToolPartners(Partners):
             middle = (now.position + self.began.position) / 2
             way = spun(self.at - middle, turn_between(self.began, now))
             return np.asarray(moved - way - (now.position - self.began.position))
-        arcs = self._arcs(link, self.at + moved)
-        return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
+        chord, start, end = self._arcs(link, self.at + moved)
+        motion = chord - _rise(chord, start, end)[:, None] * start
+        return np.asarray(motion - (motion * end).sum(axis=1)[:, None] * end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Derivatives (n, d, d) of the motion by x_j and by n."""
-        x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
-        arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
-        g = found.gradient
-        across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
+        """See `Partners`."""
+        n, d = self.at.shape
+        x = self.at + moved.array_r.reshape(-1, d)[link.nodes]
+        (chord, start, end), found = self._arcs(link, x), self.tool.distance(x)
+        g, step = found.gradient, 1e-30
+        across = np.eye(d) - g[:, :, None] * g[:, None]
         across -= found.value[:, None, None] * found.hessian
-        by_chord = np.eye(x.shape[1]) - arcs.start[:, :, None] * arcs.B_by_chord[:, None]
-        by_n = -arcs.start[:, :, None] * arcs.B_by_end[:, None]
-        by_n -= arcs.lift[:, None, None] * np.eye(x.shape[1])
-        return by_chord @ across, by_n
+        by_chord, by_end = np.zeros((2, n, d))
+        for i, way in enumerate(step * 1j * np.eye(d)):
+            by_chord[:, i] = _rise(chord + way, start, end).imag / step
+            by_end[:, i] = _rise(chord, start, end + way).imag / step
+        lift = ((chord - _rise(chord, start, end)[:, None] * start) * end).sum(axis=1)
+        by_n = -start[:, :, None] * by_end[:, None] - lift[:, None, None] * np.eye(d)
+        return (np.eye(d) - start[:, :, None] * by_chord[:, None]) @ across, by_n
 
-    def _arcs(self, link: CoupledSides, x: Floats) -> _Arcs:
-        now = self.tool.pose()
-        found, end = now.distance(self.tool.asked, x), link.coupling.normals
+    def _arcs(self, link: CoupledSides, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Chords d and normals n_0 and n of the surface below nodes at x; collective."""
+        now, found = self.tool.pose(), self.tool.distance(x)
         foot = x - found.value[:, None] * found.gradient
-        return _Arcs(foot - now.to_space(self.place), self.into @ now.R.T, end)
+        return foot - now.to_space(self.place), self.into @ now.R.T, link.coupling.normals
 
 
-class _Arcs:
-    """Arcs of a surface from chords and normals at their ends."""
-
-    def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        self.chord, self.start, self.end = chord, start, end
-        both, apart = end + start, end - start
-        h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)
-        h = np.maximum(h, HALF_OF_DIGITS)  # undefined at half a turn
-        half = np.arctan2(w, h)
-        straight = w**2 <= HALF_OF_DIGITS
-        z = np.where(straight, 1.0, w**2)
-        f = np.where(straight, 1.0, half / np.maximum(w / 2, TINY))
-        f_c = np.where(straight, -1 / 12, (f - 2 / h) / z)
-        G = np.where(straight, 1 / 24, (f - 1) / z)
-        G_c = np.where(straight, -3 / 320, (f_c + 2 * G) / z)
-        K = G + f / (h * (2 + h))
-        K_c = G_c + f_c / (h * (2 + h)) - f * (2 + 2 * h) / h / (h * (2 + h)) ** 2
-        e, q = (chord * both).sum(axis=1), (chord * apart).sum(axis=1)
-        self.motion = chord - (e / h**2 + K * q)[:, None] * start
-        self.lift = (self.motion * end).sum(axis=1)
-        self.B_by_chord = both / h[:, None] ** 2 + K[:, None] * apart
-        by_c = q * K_c - 2 * e / h**4
-        self.B_by_end = (1 / h**2 + K)[:, None] * chord + by_c[:, None] * start
+def _rise(chord: Floats, start: Floats, end: Floats) -> Floats:
+    """B (n,), also of complex numbers for derivatives along unit normals."""
+    both, apart = end + start, end - start
+    z, h = (apart**2).sum(axis=1), np.sqrt((both**2).sum(axis=1))
+    h = np.maximum(h, HALF_OF_DIGITS)  # undefined at half a turn
+    straight = np.abs(z) <= HALF_OF_DIGITS
+    w = np.sqrt(np.where(straight, 1.0, z))
+    f = np.where(straight, 1 + z / 24, 2 * np.arctan(w / h) / w)
+    K = np.where(straight, 1 / 24 + 3 / 640 * z, (f - 1) / w**2) + f / (h * (2 + h))
+    return np.asarray((chord * both).sum(axis=1) / h**2 + K * (chord * apart).sum(axis=1))

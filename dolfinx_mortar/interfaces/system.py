@@ -40,9 +40,9 @@ from dolfinx_mortar.interfaces.interface import (
 )
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
-from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.tool import Outline
+from dolfinx_mortar.interfaces.tie import Bolt
+from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.mortar.common_normals import find_spreads
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, outside_margin
 from dolfinx_mortar.mortar.passing import Middles
@@ -165,17 +165,16 @@ class InterfaceSystem:
                 marks |= (side.on_slave | side.on_master)[: self.n]
         return marks
 
-    def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of tools, with boxes (2, d) of sides; collective."""
+    def tools_at(self, u: fem.Function) -> list[tuple[Tool, Floats]]:
+        """Tools, with boxes (2, d) of sides; collective."""
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
             if interface.tool is None:
                 continue
-            tool = interface.tool.outline()
-            x = tool.pose.to_tool(coordinates(sides.slave, u))
+            x = interface.tool.pose().to_tool(coordinates(sides.slave, u))
             ends = np.concatenate([-x, x]).reshape(2, *x.shape).max(axis=1, initial=-np.inf)
             low, high = maximum(self.V.mesh.comm, *ends.ravel()).reshape(2, -1)
-            tools.append((tool, np.stack([-low, high])))
+            tools.append((interface.tool, np.stack([-low, high])))
         return tools
 
     @property
@@ -305,7 +304,7 @@ class InterfaceSystem:
         """Derivatives of the moving geometry at X + u; collective.
 
         `slips` are the displacement since the last commit, and the partners; others as in
-        `ContactDerivatives`.
+        `LinkDerivatives`.
         """
         T, moving = self.transformation, self._reused.moving
         assert T is not None

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 import scipy
@@ -25,49 +27,28 @@ from dolfinx_mortar.mortar.operators import WholeSide
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.shapes import Distance, Shape
-from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
+from dolfinx_mortar.shapes.shape import check_returned, unit_vectors
 from dolfinx_mortar.shapes.zero_level import find_zero_level
-
-
-class Driven(Protocol):
-    """A rigid tool or side with m motions driven by given forces; same on all ranks."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether nodes follow it in all directions, as on a rigid side."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names (m) of the motions and their forces."""
-
-    def loads(self) -> Floats:
-        """Given forces (m,); a ValueError for NaN and infinity."""
-
-    def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Displacements (m, n, d) of points by one unit of each motion.
-
-        Points are at x (X if frozen), initially at X (n, d); ``moved`` (m,) is where to linearise.
-        """
-
-    def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion by amounts (m,) minus its linearisation (n, d) at X; only where `holds`."""
-
-    def move(self, amounts: Floats) -> None:
-        """Move the tool by amounts (m,) of its motions."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi."""
+    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi.
+
+    With `linear` rotations R = 1 + theta x.
+    """
 
     position: Floats  # (d,)
     rotation: Floats  # (1,) or (3,) rotation vector
     point: Floats  # (d,) initial position
+    linear: bool = False
 
     @property
     def R(self) -> Floats:
         """Rotation matrix (d, d)."""
         d = len(self.position)
+        if self.linear:
+            return np.asarray(np.eye(d) + spun(np.eye(d), self.rotation).T)
         return np.asarray(_turn(in_space(self.rotation)).as_matrix()[:d, :d])
 
     def to_tool(self, x: Floats) -> Floats:
@@ -79,8 +60,9 @@ class Pose:
         return (xi - self.point) @ self.R.T + self.position
 
     def distance(self, shape: Shape, x: Floats) -> Distance:
-        """Distances of points (n, d) from a shape."""
-        found, R = shape.distance(self.to_tool(x)), self.R
+        """Checked distances of points (n, d) from a shape."""
+        at, R = self.to_tool(x), self.R
+        found = check_returned(shape, shape.distance(at), at)
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
 
@@ -94,9 +76,11 @@ def motions_in(d: int) -> tuple[str, ...]:
 
 
 class RigidBody:
-    """Pose of a rigid body as Constants, and loads that drive it instead.
+    """Pose of a rigid body as Constants, and loads that drive m of its motions instead.
 
     Attributes:
+        holds: whether nodes follow it in all directions, as on a rigid side.
+        linear: whether rotations are linearised.
         point: (d,) initial position of the reference point.
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
@@ -104,7 +88,7 @@ class RigidBody:
         travel: (3,) or (6,) additional motion by the loads.
     """
 
-    holds = False
+    holds, linear = False, False
 
     def __init__(self, point: Floats) -> None:
         d = len(point)
@@ -131,24 +115,21 @@ class RigidBody:
             )
         d = len(position)
         travel = self.travel if travel is None else travel
-        position = position + travel[:d]
-        if travel[d:].any():
-            rotation = after(rotation, travel[d:])
-        return Pose(position, rotation, self.point)
+        turned = self._after(rotation, travel[d:]) if travel[d:].any() else rotation
+        return Pose(position + travel[:d], turned, self.point, self.linear)
+
+    def _after(self, rotation: Floats, step: Floats) -> Floats:
+        return rotation + step if self.linear else after(rotation, step)
 
     def check_load(self, load: Any) -> Mapping[str, Force]:
         """Checked forces by name, in the order of `motions_in`."""
         known = motions_in(len(self.point))
-        if load is None:
-            return {}
         if not isinstance(load, Mapping) or not load.keys() <= set(known):
             raise ValueError(
                 f"load is {load!r}: give a dictionary of forces on the tool by name, of "
                 f"{', '.join(map(repr, known))}"
             )
-        for name, value in load.items():
-            check(f"load[{name!r}]", value, FORCE)
-        return {name: load[name] for name in known if name in load}
+        return {k: check(f"load[{k!r}]", load[k], FORCE) for k in known if k in load}
 
     def loads(self) -> Floats:
         """Present values (m,).
@@ -173,8 +154,8 @@ class RigidBody:
         return {name: getattr(self, name) for name in ("point", "position", "rotation", "load")}
 
     def place(self) -> Floats:
-        """Position (d,) of the reference point of moments."""
-        return self.pose().position
+        """Position (d,) of the reference point of moments; the initial one if `linear`."""
+        return self.point if self.linear else self.pose().position
 
     def state(self, ended: bool) -> dict[str, Floats]:
         """See `Interface.state`."""
@@ -186,7 +167,7 @@ class RigidBody:
 
     @property
     def names(self) -> Sequence[str]:
-        """See `Driven`."""
+        """Names (m) of the motions and their forces."""
         return tuple(self.load)
 
     @property
@@ -194,12 +175,11 @@ class RigidBody:
         return [motions_in(len(self.point)).index(name) for name in self.names]
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """See `Driven`."""
-        return self.along(x - self.pose().position)
+        """Displacements (m, n, d) of points by one unit of each motion.
 
-    def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Zero, see `Driven`."""
-        return np.zeros_like(X)
+        Points are at x (X if frozen), initially at X (n, d); ``moved`` (m,) is where to linearise.
+        """
+        return self.along(x - self.pose().position)
 
     def along(self, arm: Floats) -> Floats:
         """Displacements (m, n, d) by one unit of each motion at arms (n, d)."""
@@ -217,11 +197,11 @@ class RigidBody:
 
     def ahead(self, amounts: Floats) -> Floats:
         """Travel (3,) or (6,) plus amounts (m,)."""
-        step, d = self.steps(amounts), len(self.point)
-        return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
+        (travel, step), d = (self.travel, self.steps(amounts)), len(self.point)
+        return np.concatenate([travel[:d] + step[:d], self._after(travel[d:], step[d:])])
 
     def move(self, amounts: Floats) -> None:
-        """See `Driven`."""
+        """Move the body by amounts (m,) of its motions."""
         self.travel = self.ahead(amounts)
 
 
@@ -252,7 +232,7 @@ class Movable:
 
     @load.setter
     def load(self, value: Mapping[str, Force] | None) -> None:
-        self.rigid.load = self.rigid.check_load(value)
+        self.rigid.load = self.rigid.check_load({} if value is None else value)
 
     @property
     def travel(self) -> Floats:
@@ -260,52 +240,10 @@ class Movable:
         return self.rigid.travel.copy()
 
 
-class Asked(Shape):
-    """A shape with checked distances; points of a failed rank count as far away."""
-
-    def __init__(self, shape: Shape) -> None:
-        self.shape, self.point = shape, shape.point
-        self.alone = True
-        self._error: Exception | None = None
-
-    def distance(self, x: Floats) -> Distance:
-        """See `Shape`."""
-        try:
-            return check_returned(self.shape, self.shape.distance(x), x)
-        except Exception as error:
-            self._wait(error)
-        n, d = x.shape
-        ahead = np.tile(np.eye(d)[0], (n, 1))
-        return Distance(np.full(n, self._far(x)), ahead, np.zeros((n, d, d)))
-
-    def values(self, x: Floats) -> Floats:
-        """See `Shape`."""
-        try:
-            found = self.shape.values(x)
-            check_finite(f"{type(self.shape).__name__}: the distance", found, x)
-            return found
-        except Exception as error:
-            self._wait(error)
-        return np.full(len(x), self._far(x))
-
-    def failed(self) -> Exception | None:
-        """Return and forget the first error on this rank."""
-        error, self._error = self._error, None
-        return error
-
-    def _wait(self, error: Exception) -> None:
-        if self.alone:
-            raise error
-        self._error = self._error or error
-
-    def _far(self, x: Floats) -> float:
-        return 1.0 + float(np.abs(x - self.point).max(initial=0.0))
-
-
 class Tool(RigidBody):
     """A shape and its pose; `began` is the pose at the last commit."""
 
-    def __init__(self, shape: Any, reference: Any, d: int) -> None:
+    def __init__(self, comm: MPI.Comm, shape: Any, reference: Any, d: int) -> None:
         if not isinstance(shape, Shape):
             raise ValueError(
                 f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
@@ -317,7 +255,7 @@ class Tool(RigidBody):
             )
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
-        self.shape, self.asked = shape, Asked(shape)
+        self.comm, self.shape = comm, shape
         self.began = self.pose()
 
     def check(self, d: int, revolved: bool) -> None:
@@ -325,6 +263,11 @@ class Tool(RigidBody):
         if misfit := self.shape.misfit(d, revolved):
             raise ValueError(f"shape: {misfit}")
         self.revolved = revolved
+
+    def distance(self, x: Floats, pose: Pose | None = None) -> Distance:
+        """Distances of points (n, d) at present or in another pose; collective."""
+        with raised_together(self.comm):
+            return (pose or self.pose()).distance(self.shape, x)
 
     def probed(self) -> list[float] | str:
         """Coordinate of points around the shape's, and distances of these, or how they fail."""
@@ -372,29 +315,10 @@ class Tool(RigidBody):
         began, now, turn, shape = self.began, self.pose(), self.turn(), self.shape
 
         def at(t: float, x: Floats) -> Floats:
-            if t in (0.0, 1.0):
-                return (now if t else began).to_tool(x)
             position = (1.0 - t) * began.position + t * now.position
             return Pose(position, after(began.rotation, t * turn), began.point).to_tool(x)
 
         return SeenByTool(at, turn, shape.values, shape.point)
-
-    def outline(self) -> Outline:
-        """Present outline, for output."""
-        return Outline(self.shape, self.pose(), self.revolved)
-
-
-@dataclass(frozen=True)
-class Outline:
-    """Shape and pose of a tool, for output."""
-
-    shape: Shape
-    pose: Pose
-    revolved: bool = False
-
-    def distance(self, x: Floats) -> Floats:
-        """Signed distances (n,) of points (n, d)."""
-        return self.shape.values(self.pose.to_tool(x))
 
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
         """Points in initial position, and their lines or triangles (m, d), in a box."""
@@ -423,35 +347,26 @@ def spun(arm: Floats, rotation: Floats) -> Floats:
 
 def turn_between(before: Pose, now: Pose) -> Floats:
     """Rotation (1,) or (3,) between two poses, with whole turns."""
-    change = now.rotation - before.rotation
-    if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
-        return _vector_near(
-            scipy.spatial.transform.Rotation.from_matrix(now.R @ before.R.T), change
-        )
-    return change
+    return after(-before.rotation, now.rotation)
 
 
 def after(rotation: Floats, step: Floats) -> Floats:
     """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
-    if len(rotation) == 1:
-        return rotation + step
-    turned = _turn(step) * _turn(rotation)
-    return _vector_near(turned, rotation + step)
-
-
-def _vector_near(turned: Any, guess: Floats) -> Floats:
-    found = np.asarray(turned.as_rotvec())
+    near = rotation + step
+    if len(near) == 1:
+        return near
+    found = np.asarray((_turn(step) * _turn(rotation)).as_rotvec())
     angle = float(np.linalg.norm(found))
-    axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
-    turns = np.round((guess @ axis - angle) / (2.0 * np.pi))
-    return found if turns == 0.0 else np.asarray(found + 2.0 * np.pi * turns * axis)
+    axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(near[None])[1][0]
+    turns = np.round((near @ axis - angle) / (2.0 * np.pi))
+    return np.asarray(found + 2.0 * np.pi * turns * axis)
 
 
-def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Facets (m,) that face the tool within 78 degrees, for nodes at x."""
+def find_facing(side: WholeSide, tool: Tool, x: Floats) -> Bools:
+    """Facets (m,) that face the tool within 78 degrees, for nodes at x; collective."""
     facets = facets_at(side.slave, x)
-    tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
-    return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
+    out = tool.distance(facets.x.mean(axis=1)).gradient
+    return np.asarray(-(facet_normals(facets) * out).sum(axis=1) > FACING)
 
 
 @dataclass(frozen=True)
@@ -466,8 +381,7 @@ class SidePattern(Pattern):
 
 def point_gaps(
     pattern: SidePattern,
-    pose: Pose,
-    shape: Shape,
+    tool: Tool,
     u: fem.Function | None,
     segments: Segments,
     points: Floats,
@@ -479,12 +393,10 @@ def point_gaps(
     """
     assert pattern.side is not None
     slave = pattern.side.slave
-    with raised_together(slave.V.mesh.comm):
-        if pattern.nodal:
-            found = pose.distance(shape, coordinates(slave, u))
-            of_nodes = found.value[slave.facets[segments.slave]]
-            return np.asarray((segments.N * of_nodes).sum(axis=1)), found
-        found = pose.distance(shape, points)
+    found = tool.distance(coordinates(slave, u) if pattern.nodal else points)
+    if pattern.nodal:
+        of_nodes = found.value[slave.facets[segments.slave]]
+        return np.asarray((segments.N * of_nodes).sum(axis=1)), found
     if pattern.own is None:
         return found.value, found
     heights = side_heights(slave, pattern.own, u, segments.slave, segments.xi_s)

@@ -4,11 +4,9 @@
 from typing import Any
 
 from dolfinx_mortar.materials.creep import Norton, Viscoelastic
-from dolfinx_mortar.materials.drucker_prager import DruckerPrager
-from dolfinx_mortar.materials.elastic import Elastic, Orthotropic
-from dolfinx_mortar.materials.hyperelastic import MooneyRivlin, NeoHooke, Ogden
+from dolfinx_mortar.materials.elastic import Elastic, MooneyRivlin, NeoHooke, Ogden, Orthotropic
+from dolfinx_mortar.materials.plasticity import DruckerPrager, VonMises, VonMisesVoce
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
-from dolfinx_mortar.materials.von_mises import VonMises, VonMisesVoce
 
 __all__ = [
     "DruckerPrager",

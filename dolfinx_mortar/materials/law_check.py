@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Check of a law at one point."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +13,7 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.common import arguments
-from dolfinx_mortar.common.arrays import EPS, Floats, Ints
+from dolfinx_mortar.common.arrays import EPS, Floats
 from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import (
@@ -23,10 +24,10 @@ from dolfinx_mortar.materials.protocol import (
     named_parameters,
 )
 from dolfinx_mortar.materials.response import (
+    NORMAL,
     PointValues,
     elastic_response,
     respond,
-    solve_normal_strain,
     values_at_points,
 )
 from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
@@ -234,51 +235,39 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
     values: Callable[..., PointValues]
     if finite and law.strain == "small":
         values = LogarithmicLaw(law, list(given)).values
-    elif law.update is not None:
-        values = partial(values_at_points, law)
     else:
-        values = _values_in_ufl(law, given)
+        update = law.update or _of_arrays(dataclasses.replace(law, plane_stress=False), given)
+        energy = law.energy if law.update else None
+        values = partial(values_at_points, dataclasses.replace(law, update=update, energy=energy))
     return LawAtPoint(law, finite, given, elastic, values)
 
 
-def _values_in_ufl(law: Law, parameters: Iterable[str]) -> Callable[..., PointValues]:
-    """Compile what `values_at_points` is of a law of arrays."""
-    e, D, z, *rest, p = _symbols(parameters, (3, 3), (3, 3), (), *law.state.values())
-    symbols = dict(zip(law.state, rest, strict=True))
-    response = respond(law, e, symbols, p, z if law.condensed else None)
-    psi = 0.0 if response.energy is None else response.energy
-    answers = [response.change(D), response.stress, ufl.as_ufl(psi), *response.updated.values()]
-    kernel = normal = compile_kernel(_entries(*answers))
-    root = response.normal_strain
-    sizes = [9, 1, *(9 if shape else 1 for shape in law.state.values())]
-    if law.condensed:
-        normal = compile_kernel(_entries(*(response.equation or [root])))
+def _of_arrays(law: Law, parameters: Mapping[str, float]) -> Callable[..., PointValues]:
+    """`update` of a law in UFL."""
+    e, D, *rest, p = _symbols(parameters, (3, 3), (3, 3), *law.state.values())
+    response = respond(law, e, dict(zip(law.state, rest, strict=True)), p)
+    psi = ufl.as_ufl(0.0 if response.energy is None else response.energy)
+    scalars = psi, elastic_response(law, NORMAL, p)[2, 2]
+    answers = [response.change(D), response.stress, *scalars, *response.updated.values()]
+    kernel = compile_kernel(_entries(*answers))
+    sizes = [9, 1, 1, *(9 if shape else 1 for shape in law.state.values())]
 
-    def values(strain: Floats, state: State, p: Mapping[str, Floats]) -> PointValues:
+    def update(strain: Floats, state: State, p: Any) -> PointValues:
         q = len(strain)
-        parts = strain, np.zeros((q, 10)), *state.values(), *p.values()
-        numbers = np.hstack([part.reshape(q, -1) for part in parts])
-
-        def equation(points: Ints, z: Floats) -> Floats:
-            trial = numbers[points]
-            trial[:, 18:19] = z
-            return tabulate(normal, trial)[:, None]
-
-        if root is not None:
-            numbers[:, 18:19] = tabulate(normal, numbers)
-        elif law.condensed:
-            numbers[:, 18:19] = solve_normal_strain(law.name, equation, (q, 1))
-        numbers = np.repeat(numbers, 9, axis=0)
+        given = np.tile(np.array(list(parameters.values())), (q, 1))
+        parts = strain, np.zeros((q, 9)), *state.values(), given
+        numbers = np.repeat(np.hstack([part.reshape(q, -1) for part in parts]), 9, axis=0)
         numbers[:, 9:18] = np.tile(np.eye(9), (q, 1))  # directions of the changes
         found = tabulate(kernel, numbers)
         tangent = found[:, :9].reshape(q, 3, 3, 3, 3).transpose(0, 3, 4, 1, 2)
         tangent = tangent if law.strain == "finite" else mean_of_shears(tangent)
-        stress, energy, *new = np.split(found[::9, 9:], np.cumsum(sizes)[:-1], axis=1)
+        stress, energy, moduli, *new = np.split(found[::9, 9:], np.cumsum(sizes)[:-1], axis=1)
         updated = {name: v.reshape(state[name].shape) for name, v in zip(state, new, strict=True)}
         psi = None if law.energy is None else energy[:, 0]
-        return PointValues(stress.reshape(q, 3, 3), tangent, updated, energy=psi)
+        values = stress.reshape(q, 3, 3), tangent, updated
+        return PointValues(*values, energy=psi, elastic=moduli[:, 0])
 
-    return values
+    return update
 
 
 def _symbols(parameters: Iterable[str], *shapes: tuple[int, ...]) -> list[Any]:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Small-strain laws at finite strain: functions of a logarithmic strain, with its dual stress as P.
+"""Laws compiled for points, and small-strain laws at finite strain: with a logarithmic strain.
 
-Derivation: theory.md, Small-strain laws at finite strain. **Multiplicative form**, for isotropic
-laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strain of the state:
+Derivation: theory.md, Small-strain laws at finite strain; P is the dual stress. **Multiplicative
+form**, for isotropic laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic
+strain of the state:
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
@@ -15,6 +16,7 @@ Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -26,7 +28,9 @@ from dolfinx_mortar.common.kernels import Kernel, compile_kernel, constants, tab
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
 from dolfinx_mortar.materials.response import (
+    NORMAL,
     PointValues,
+    elastic_response,
     normal_equation,
     respond,
     solve_normal_strain,
@@ -36,6 +40,7 @@ from dolfinx_mortar.materials.tensor import (
     GRADIENT,
     INDEX,
     from_components,
+    from_entries,
     stored,
     tensor_of,
     to_components,
@@ -54,13 +59,14 @@ class Start(NamedTuple):
     roots: Floats  # C_pn^-1/2 - I (q, 3, 3), empty if zero
 
 
-class LogarithmicLaw:
-    """A small-strain law as a function of H = F - I at points.
+class CompiledLaw:
+    """A law in UFL as a function of strains at points, of H = F - I if it is one of F.
 
     Attributes:
-        multiplicative: the form; else additive.
-        components: row and column of k nonzero entries of P.
+        components: row and column of the k stored entries of strain and stress, zz last in 2D.
     """
+
+    _elastic: Kernel | None = None  # C_zzzz in plane stress
 
     def __init__(
         self,
@@ -74,41 +80,51 @@ class LogarithmicLaw:
 
         Args:
             parameters: their names.
-            dimension: 2 if H is in the plane but for H_zz.
+            dimension: 2 if strains are in the plane but for zz.
             jit: compiler of an expression.
         """
-        self.law, self.multiplicative, self._names = law, law.isotropic, parameters
+        self.law, self._names = replace(law, plane_stress=False), parameters
+        self._flat = law.plane_stress
         self.has_energy = law.energy is not None and law.update is None
-        self.components = GRADIENT[dimension]
-        self._pairs = pairs = INDEX[: 4 if dimension == 2 else 6]
-        self._remembers = self.multiplicative and PLASTIC in law.state  # by the roots
-        self._strains = INDEX[:3] if law.isotropic else pairs  # of a law in its eigenvectors
-        # ij, km of L_ijkm, each computed once
-        self._ways = [
-            tuple(sorted(way, key=INDEX.index)) for way in product(self._strains, repeat=2)
-        ]
-        if law.isotropic:
-            self._ways += [(pair, pair) for pair in pairs[3:]]
-        self._vectors, self._tensors = np.empty((2, CHUNK, 3)), np.empty((3, CHUNK, 3, 3))
+        self._pairs = INDEX[: 4 if dimension == 2 else 6]
+        self._set_entries(dimension)
         if law.update is None:
             self._compile(jit)
 
+    def _set_entries(self, dimension: int) -> None:
+        """Set the entries of stress, argument and state, and ij, km of the moduli L_ijkm."""
+        finite = self.law.strain == "finite"
+        normal_last = tuple(sorted(self._pairs, key=lambda pair: pair == (2, 2)))
+        self.components = GRADIENT[dimension] if finite else normal_last
+        self._arguments, self._width, self._remembers = self.components, len(self._pairs), False
+        upper = upper_triangle(len(self.components))
+        self._ways = [(self.components[a], self.components[b]) for a, b in upper]
+
     def _compile(self, jit: Callable[[Expr], Kernel]) -> None:
         sizes = [len(self._pairs) if shape else 1 for shape in self._memory.values()]
-        numbers = constants(len(self._strains) + sum(sizes) + len(self._names))
-        law, columns = self.law, list(numbers)
-        strain, state, p = self._arguments(columns, lambda c: from_components(ufl.as_vector(c)))
-        response = respond(law, strain, state, grouped(p))
-        changes = {pair: response.change(_unit(*pair)) for pair in self._pairs}
-        answers = [response.stress[pair] for pair in self._strains]
+        law, small = self.law, self.law.strain == "small"
+        rest = iter(list(constants(len(self._arguments) + sum(sizes) + len(self._names))))
+        strain = from_entries(self._arguments, [next(rest) for _ in self._arguments], small)
+        state = {PLASTIC: 0 * strain} if self._remembers else {}
+        for name, shape in self._memory.items():
+            tensor = [next(rest) for _ in self._pairs] if shape else []
+            state[name] = from_components(ufl.as_vector(tensor)) if shape else next(rest)
+        p = grouped(dict(zip(self._names, rest, strict=True)))
+        response, changes = respond(law, strain, state, p), {}
+        for _, (k, m) in self._ways:
+            share = 0.5 if small and k != m else 1.0  # entries km and mk add up to one
+            changes[k, m] = response.change(from_entries([(k, m)], [share], small))
+        answers = [response.stress[pair] for pair in self._arguments]
         answers += [changes[km][ij] for ij, km in self._ways]
         answers += [] if response.energy is None else [response.energy]
         new = []
         for name, shape in law.state.items():
             value = response.updated[name]
-            new += list(to_components(value, len(self._strains))) if shape else [value]
+            new += list(to_components(value, self._width)) if shape else [value]
         self._moduli = jit(ufl.as_vector(answers))
         self._state = jit(ufl.as_vector(new)) if new else None
+        if self._flat:
+            self._elastic = jit(ufl.as_vector([elastic_response(law, NORMAL, p)[2, 2]]))
 
     @property
     def _memory(self) -> dict[str, tuple[int, ...]]:
@@ -116,40 +132,115 @@ class LogarithmicLaw:
         state = self.law.state.items()
         return {name: shape for name, shape in state if not (self._remembers and name == PLASTIC)}
 
-    def _arguments(self, columns: Sequence[Any], tensor: Callable[[list[Any]], Any]) -> Any:
-        """Strain, state and parameters of the law of columns of numbers."""
-        rest = iter(columns)
-        strain = tensor([next(rest) for _ in self._strains])
-        state = {PLASTIC: 0 * strain} if self._remembers else {}
-        for name, shape in self._memory.items():
-            state[name] = tensor([next(rest) for _ in self._pairs]) if shape else next(rest)
-        return strain, state, dict(zip(self._names, rest, strict=True))
-
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
-        columns: list[Floats] = [np.zeros((q, len(self._strains)))]
-        roots = np.empty((q if self._remembers else 0, 3, 3))
-        if self._remembers:
-            logarithms.roots(state[PLASTIC], roots)
+        columns: list[Floats] = [np.zeros((q, len(self._arguments)))]
+        roots = logarithms.roots(state[PLASTIC]) if self._remembers else np.empty((0, 3, 3))
         for name, shape in self._memory.items():
             columns.append(stored(state[name], len(self._pairs)) if shape else state[name][:, None])
         columns += [parameters[name][:, None] for name in self._names]
         return Start(np.ascontiguousarray(np.hstack(columns)), roots)
 
-    def response(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
-        """Stress, tangent and potential at q points; where det F <= 0, psi = inf, others NaN.
+    def evaluate(self, start: Start, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """`response`; in plane stress condensed, with the strain out of the plane set in place."""
+        if not self._flat:
+            return self.response(start, strain)
+        self.find_normal(start, strain)
+        stress, tangent, psi = self.response(start, strain)
+        a, b = np.array(upper_triangle(len(self.components))).T
+        normal = tangent[:, b == b[-1]]
+        tangent -= normal[:, a] * normal[:, b] / normal[:, -1:]
+        tangent[:, b == b[-1]], stress[:, -1] = 0.0, 0.0
+        return stress, tangent, psi
+
+    def find_normal(self, start: Start, strain: Floats) -> None:
+        """Set zz for stress_zz = 0, NaN if the law is undefined; a ValueError without a root."""
+
+        def equation(points: Ints, z: Floats) -> Sequence[Floats]:
+            trial = strain[points]
+            trial[:, 2, 2] = z
+            some = Start(*(part[points] if len(part) else part for part in start))
+            stress, moduli, _ = self.response(some, trial)
+            if self._elastic is None:
+                return normal_equation(stress, moduli)
+            return normal_equation(stress, moduli, tabulate(self._elastic, some.numbers)[:, 0])
+
+        finite = self.components[-2] == (1, 1)
+        strain[:, 2, 2] = solve_normal_strain(self.law.name, equation, len(strain), finite=finite)
+
+    def response(self, start: Start, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """Stress, tangent and potential at q points.
 
         Args:
             start: of `start`.
-            H: displacement gradient (q, 3, 3).
+            strain: small strain, or displacement gradient H, (q, 3, 3).
 
         Returns:
-            P = d psi / dF, the k `components` (q, k); dP / dF, its upper triangle row by row (q, k
-            (k + 1) / 2); psi (q,), per volume at X, zero without a potential.
+            The k `components` of the stress, or P = d psi / dF (q, k); its derivative, the upper
+            triangle row by row (q, k (k + 1) / 2); psi (q,), zero without a potential.
         """
-        q, k = len(H), len(self.components)
+        k = len(self.components)
+        ((_, numbers, _),) = self._prepared(start, strain)
+        found = tabulate(self._moduli, numbers)
+        psi = found[:, -1] if self.has_energy else np.zeros(len(found))
+        return found[:, :k], found[:, k : k + k * (k + 1) // 2], psi
+
+    def _prepared(self, start: Start, strain: Floats) -> Iterator[tuple[slice, Floats, Any]]:
+        """Chunks of points, with the arguments of the law."""
+        rows, columns = np.array(self._arguments).T
+        unit = np.eye(3) if self.law.strain == "finite" else np.zeros((3, 3))
+        start.numbers[:, : len(rows)] = (strain + unit)[:, rows, columns]
+        yield slice(None), start.numbers, None
+
+    def _updated(self, numbers: Floats) -> Floats:
+        """Columns of the new internal variables."""
+        assert self._state is not None
+        return tabulate(self._state, numbers)
+
+    def update(
+        self, start: Start, strain: Floats, state: Mapping[str, Floats]
+    ) -> dict[str, Floats]:
+        """New internal variables, (q,) or (q, 3, 3), of those at the start."""
+        new = {name: np.array(values) for name, values in state.items()}
+        for some, numbers, parts in self._prepared(start, strain) if new else ():
+            columns = self._updated(numbers)
+            for name, shape in self.law.state.items():
+                part, columns = np.split(columns, [self._width if shape else 1], axis=1)
+                if name == PLASTIC and self._remembers:
+                    old, g = state[name][some], start.roots[some]
+                    new[name][some] = logarithms.flow(old, part, g, parts[2])
+                else:
+                    new[name][some] = tensor_of(part) if shape else part[:, 0]
+        return new
+
+
+class LogarithmicLaw(CompiledLaw):
+    """A small-strain law, in UFL or of arrays, as a function of H = F - I at points.
+
+    Attributes:
+        multiplicative: the form; else additive.
+    """
+
+    def _set_entries(self, dimension: int) -> None:
+        law, pairs = self.law, self._pairs
+        self.multiplicative, self.components = law.isotropic, GRADIENT[dimension]
+        self._remembers = self.multiplicative and PLASTIC in law.state  # by the roots
+        self._arguments = INDEX[:3] if law.isotropic else pairs  # of a law in its eigenvectors
+        self._width = len(self._arguments)
+        # each computed once
+        ways = product(self._arguments, repeat=2)
+        self._ways = [
+            min((ij, km), (km, ij), key=lambda way: INDEX.index(way[0])) for ij, km in ways
+        ]
+        if law.isotropic:
+            self._ways += [(pair, pair) for pair in pairs[3:]]
+        self._vectors, self._tensors = np.empty((2, CHUNK, 3)), np.empty((3, CHUNK, 3, 3))
+
+    def response(self, start: Start, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """P, dP/dF and psi, see `CompiledLaw`; where det F <= 0, psi = inf, others NaN."""
+        q, k = len(strain), len(self.components)
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.zeros(q)
-        for some, numbers, parts in self._decomposed(start, H):
+        for some, numbers, parts in self._prepared(start, strain):
             found = self._answers(numbers)
             how = self._pairs, self.multiplicative, found
             logarithms.respond(*how, *parts, P[some], A[some])
@@ -157,12 +248,12 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(parts[0][:, 0]), np.inf, found[:, -1])
         return P, A, psi
 
-    def _decomposed(self, start: Start, H: Floats) -> Iterator[tuple[slice, Floats, list[Floats]]]:
+    def _prepared(self, start: Start, strain: Floats) -> Iterator[tuple[slice, Floats, Any]]:
         """Chunks of points, with the arguments of the law and `logarithms.decompose`."""
-        for first in range(0, len(H), CHUNK):
-            some = slice(first, min(first + CHUNK, len(H)))
+        for first in range(0, len(strain), CHUNK):
+            some = slice(first, min(first + CHUNK, len(strain)))
             parts = [part[: some.stop - first] for part in (*self._vectors, *self._tensors)]
-            logarithms.decompose(H[some], start.roots[some], *parts)
+            logarithms.decompose(strain[some], start.roots[some], *parts)
             _, logs, N, _, _ = parts
             numbers = start.numbers[some]
             if self.multiplicative:
@@ -177,55 +268,27 @@ class LogarithmicLaw:
             return tabulate(self._moduli, numbers)
         found = self._values(numbers)
         T, L = found.stress, found.tangent
-        columns = [T[:, i, j] for i, j in self._strains]
+        columns = [T[:, i, j] for i, j in self._arguments]
         columns += [(L[:, *ij, *km] + L[:, *km, *ij]) / 2 for ij, km in self._ways]
         return np.stack(columns, axis=1)
 
+    def _updated(self, numbers: Floats) -> Floats:
+        if self.law.update is None:
+            return super()._updated(numbers)
+        found = self._values(numbers).state.values()
+        return np.hstack([stored(v, self._width) if v.ndim == 3 else v[:, None] for v in found])
+
     def _values(self, numbers: Floats) -> PointValues:
         """Values of a law of arrays."""
-        arguments = self._arguments(list(numbers.T), lambda c: tensor_of(np.stack(c, axis=1)))
-        return values_at_points(self.law, *arguments)
-
-    def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
-
-        def equation(points: Ints, z: Floats) -> Floats:
-            trial = H[points]
-            trial[:, 2, 2] = z[:, 0]
-            some = Start(*(part[points] if len(part) else part for part in start))
-            P, A, _ = self.response(some, trial)
-            return normal_equation(P, A)
-
-        H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
-
-    def condense(self, P: Floats, A: Floats) -> None:
-        """Convert stress and tangent to plane stress, in place."""
-        a, b = np.array(upper_triangle(len(self.components))).T
-        normal = A[:, b == b[-1]]
-        A -= normal[:, a] * normal[:, b] / normal[:, -1:]
-        A[:, b == b[-1]], P[:, -1] = 0.0, 0.0
-
-    def update(self, start: Start, H: Floats, state: Mapping[str, Floats]) -> dict[str, Floats]:
-        """New internal variables, (q,) or (q, 3, 3), of those at the start."""
-        new = {name: np.array(values) for name, values in state.items()}
-        width = len(self._strains)
-        for some, numbers, (_, _, N, _, _) in self._decomposed(start, H) if new else ():
-            if self.law.update is None:
-                assert self._state is not None
-                columns = tabulate(self._state, numbers)
-            else:
-                found = self._values(numbers).state
-                columns = np.hstack(
-                    [stored(v, width) if v.ndim == 3 else v[:, None] for v in found.values()]
-                )
-            for name, shape in self.law.state.items():
-                part, columns = np.split(columns, [width if shape else 1], axis=1)
-                if name == PLASTIC and self._remembers:
-                    part, old = np.ascontiguousarray(part), state[name][some]
-                    logarithms.flow(old, part, start.roots[some], N, new[name][some])
-                else:
-                    new[name][some] = tensor_of(part) if shape else part[:, 0]
-        return new
+        strain, rest = np.split(numbers, [len(self._arguments)], axis=1)
+        state: dict[str, Floats] = {}
+        if self._remembers:
+            state[PLASTIC] = np.zeros((len(numbers), 3, 3))
+        for name, shape in self._memory.items():
+            part, rest = np.split(rest, [len(self._pairs) if shape else 1], axis=1)
+            state[name] = tensor_of(part) if shape else part[:, 0]
+        p: dict[str, Floats] = dict(zip(self._names, rest.T, strict=True))
+        return values_at_points(self.law, tensor_of(strain), state, p)
 
     def values(
         self, F: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
@@ -242,7 +305,7 @@ class LogarithmicLaw:
         """Return 1 - |dev tau| / |dev T| (q,), zero where T is."""
         P, _ = as_tensors(*self.response(start, H)[:2], self.components)
         tau, kept = von_mises(stored(P @ np.swapaxes(H + np.eye(3), 1, 2))), np.ones(len(H))
-        for some, numbers, _ in self._decomposed(start, H):
+        for some, numbers, _ in self._prepared(start, H):
             T = von_mises(self._answers(numbers)[:, : len(self._pairs)])
             np.divide(tau[some], T, out=kept[some], where=T > 0.0)
         return 1 - kept
@@ -259,11 +322,3 @@ def as_tensors(
         first, second = components[a], components[b]
         tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
     return stress, tangent
-
-
-def _unit(i: int, j: int) -> Expr:
-    """Symmetric tensor whose entries ij and ji add up to one."""
-    entries = [[0.0] * 3 for _ in range(3)]
-    entries[i][j] += 0.5
-    entries[j][i] += 0.5
-    return ufl.as_tensor(entries)

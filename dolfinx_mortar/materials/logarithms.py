@@ -6,10 +6,12 @@ y, m of C = (F G)^T F G. Components are stored as in `tensor.INDEX`: in the plan
 of F and P, in space nine.
 """
 
+from collections.abc import Callable
+
 import numba
 import numpy as np
 
-from dolfinx_mortar.common.arrays import LIMIT
+from dolfinx_mortar.common.arrays import LIMIT, Floats
 from dolfinx_mortar.materials.tensor import INDEX
 
 IDENTITY = np.eye(3)
@@ -58,13 +60,20 @@ def diagonalise(A, N):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**SETTINGS)
-def compose(N, values, A):  # type: ignore[no-untyped-def]
-    """Set A to sum_a values_a N_a (x) N_a."""
-    for i in range(3):
-        for j in range(i, 3):
-            A[i, j] = N[i, 0] * values[0] * N[j, 0]
-            A[i, j] += N[i, 1] * values[1] * N[j, 1] + N[i, 2] * values[2] * N[j, 2]
-            A[j, i] = A[i, j]
+def _diagonalise_all(A, N):  # type: ignore[no-untyped-def]
+    for q in range(len(A)):
+        diagonalise(A[q], N[q])
+
+
+def function_of(A: Floats, f: Callable[[Floats], Floats]) -> Floats:
+    """Isotropic functions sum_a f(A_a) N_a (x) N_a of symmetric tensors A (q, 3, 3)."""
+    D, N = A.copy(), np.empty_like(A)
+    _diagonalise_all(D, N)
+    return _compose(N, f(D[:, range(3), range(3)]))
+
+
+def _compose(N: Floats, values: Floats) -> Floats:
+    return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
 
 
 @numba.njit(**SETTINGS)
@@ -293,39 +302,18 @@ def _entry(n, s):  # type: ignore[no-untyped-def]
     return (n // 2, n % 2) if n < 4 else (2, 2)
 
 
-@numba.njit(**SETTINGS)
-def roots(strain, g):  # type: ignore[no-untyped-def]
-    """Fill g with exp(-strain) - I, both (q, 3, 3)."""
-    A, N, values = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    for q in range(len(g)):
-        A[:] = strain[q]
-        diagonalise(A, N)
-        for a in range(3):
-            values[a] = np.expm1(-A[a, a])
-        compose(N, values, g[q])
+def roots(strain: Floats) -> Floats:
+    """Return exp(-strain) - I (q, 3, 3)."""
+    return function_of(strain, lambda values: np.expm1(-values))
 
 
-@numba.njit(**SETTINGS)
-def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
-    """Fill new (q, 3, 3) with -1/2 ln(G exp(-2 D) G), G = I + g = exp(-strain).
+def flow(strain: Floats, increment: Floats, g: Floats, N: Floats) -> Floats:
+    """Return -1/2 ln(G exp(-2 D) G) (q, 3, 3), G = I + g = exp(-strain).
 
     D has the eigenvectors N and the eigenvalues increment (q, 3).
     """
-    A, D, G = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    V, values = np.empty((3, 3)), np.empty(3)
-    for q in range(len(new)):
-        if increment[q, 0] == 0.0 and increment[q, 1] == 0.0 and increment[q, 2] == 0.0:
-            new[q] = strain[q]
-            continue
-        for a in range(3):
-            values[a] = np.expm1(-2 * increment[q, a])
-        compose(N[q], values, D)
-        for i in range(3):
-            for j in range(3):
-                G[i, j] = IDENTITY[i, j] + g[q, i, j]
-        congruent(G, D, A)
-        add_change(g[q], A)
-        diagonalise(A, V)
-        for a in range(3):
-            values[a] = -np.log1p(A[a, a]) / 2
-        compose(V, values, new[q])
+    D = _compose(N, np.expm1(-2 * increment))
+    change = D + g @ D + D @ g + g @ D @ g + 2 * g + g @ g
+    new = function_of(change, lambda values: -np.log1p(values) / 2)
+    flows = np.any(increment, axis=1, keepdims=True)
+    return np.where(flows[:, None], new, strain)

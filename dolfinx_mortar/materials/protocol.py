@@ -125,9 +125,8 @@ class Material(Protocol):
 
     The tangent must be symmetric. `dolfinx_mortar.materials.check` tests a law without a mesh.
 
-    Optional methods, inherited only together with energy and stress:
-    `tangent(strain, state, p, direction)`, d stress / d strain : direction, instead of UFL's;
-    `normal_strain(strain, state, p)`, the strain out of the plane in closed form, or None.
+    `tangent(strain, state, p, direction)`, d stress / d strain : direction, is optional, instead of
+    UFL's; it is inherited only together with energy and stress.
 
     Inheriting from this class is optional.
 
@@ -234,7 +233,6 @@ class Law:
     energy: Callable[..., Any] | None
     stress: Callable[..., Any] | None
     tangent: Callable[..., Any] | None
-    normal_strain: Callable[..., Any] | None  # root of sigma_zz = 0, if in closed form
     updated_state: Callable[..., Any] | None
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
@@ -242,9 +240,9 @@ class Law:
     volumetric: Callable[..., Any] | None  # part U(J) of the energy of a law of F
 
     @property
-    def condensed(self) -> bool:
-        """Whether z is an unknown at each point."""
-        return self.plane_stress and self.update is None and not self.linear
+    def at_points(self) -> bool:
+        """Whether it is evaluated at points, before forms are assembled."""
+        return self.update is not None or (self.plane_stress and not self.linear)
 
 
 _REMEDIES = {
@@ -271,7 +269,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
     kind = type(material)
     names = ("elastic_stress", "energy", "updated_state", "update", "output", "conditions")
     parts: dict[str, Any] = {part: _method(kind, part) for part in (*names, "volumetric")}
-    parts |= {part: _fitting(material, part) for part in ("stress", "tangent", "normal_strain")}
+    parts |= {part: _fitting(material, part) for part in ("stress", "tangent")}
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
     needed = {"state": state is not None, "linear": linear is not None}
     needed["elastic_stress"] = parts["elastic_stress"] is not None

@@ -7,21 +7,20 @@ Plane stress by condensation at each point, with the strain e in the plane and z
     d sigma / d e = C - C : zz (x) zz : C / C_zzzz.
 
 At finite strain e is F in the plane, sigma is P and z the stretch out of the plane less 1. For a
-linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z before assembly.
+linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z at each point.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 import ufl
 from dolfinx_mortar.common.arguments import check, instance
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Bools, Floats, Ints, flat
-from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped
+from dolfinx_mortar.materials.protocol import Law, grouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
@@ -53,42 +52,50 @@ def condensed(change: Callable[[Expr], Expr]) -> Callable[[Expr], Expr]:
     return in_plane_change
 
 
-Equation = Callable[[Ints, Floats], Floats]
-"""Rows (k,) and z (k, m) there -> sigma_zz, C_zzzz, elastic C_zzzz, |sigma|: (k, m, 4)."""
+Equation = Callable[[Ints, Floats], Sequence[Floats]]
+"""Points (k,) and z (k,) there -> sigma_zz, C_zzzz, elastic C_zzzz, |sigma|, (k,) each."""
 
 
-def solve_normal_strain(
-    law: str,
-    equation: Equation,
-    shape: tuple[int, int],
-    *,
-    finite: bool = False,
-    start: Floats | None = None,
-) -> Floats:
-    """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
+def solve_normal_strain(law: str, equation: Equation, q: int, *, finite: bool = False) -> Floats:
+    """Return z (q,) with sigma_zz(z) = 0, NaN where the law is undefined.
 
     Newton's method with bisection; twice the elastic step where C_zzzz <= 0; at finite strain at
     most half of the way to z = -1.
 
     Args:
         law: its name.
-        equation: of rows that are evaluated together, such as cells.
-        shape: number of rows, and of points in each.
+        equation: see above.
+        q: number of points.
         finite: whether z is a stretch less 1.
-        start: of z, a function of strain and state alone.
 
     Raises:
         ValueError: naming the law, if Newton's method fails at a point.
     """
-    floor = ROUND_OFF if finite else 0.0
-    z = np.zeros(shape) if start is None else np.where(np.isfinite(start), start, 0.0)
-    high = np.full(shape, np.inf)
-    low = np.full(shape, -1.0 if finite else -np.inf)
-    rows: Ints = np.arange(shape[0], dtype=np.int32)
+    z, high, low = np.zeros(q), np.full(q, np.inf), np.full(q, -1.0 if finite else -np.inf)
+    rows: Ints = np.arange(q, dtype=np.int32)
     for iteration in range(LIMIT):
-        values = equation(rows, z[rows])
-        # half of the digits suffice before the last, quadratic iteration
-        rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
+        now = z[rows]
+        residual, modulus, elastic, stress = equation(rows, now)
+        with np.errstate(all="ignore"):
+            step = -residual / (0.5**iteration * elastic)
+            new = now + np.where(modulus > 0.0, -residual / modulus, step)
+            if finite:  # a stretch is at most halved
+                new = np.maximum(new, (now - 1.0) / 2)
+            # half of the digits suffice before the last, quadratic iteration
+            allowed = np.maximum(HALF_OF_DIGITS * stress, ROUND_OFF * elastic * finite)
+            small = (np.abs(residual) <= allowed) & np.isfinite(stress)
+            low[rows] = np.where(~small & (residual < 0.0), now, low[rows])
+            high[rows] = np.where(~small & ~(residual < 0.0), now, high[rows])
+            middle = (low[rows] + high[rows]) / 2
+            bracketed = np.isfinite(middle)
+            outside = ~small & ~((low[rows] < new) & (new < high[rows]))
+            ends = (middle == low[rows]) | (middle == high[rows])
+            narrow = outside & bracketed & ends
+        new = np.where(outside, np.where(bracketed, middle, now + step), new)
+        z[rows] = np.where(residual == 0.0, now, new)
+        # a law undefined from the start counts as finished
+        done = small | narrow | (residual == 0.0) | (np.isnan(stress) & (iteration == 0))
+        rows = rows[~done]
         if not rows.size:
             return z
     raise ValueError(
@@ -99,47 +106,6 @@ def solve_normal_strain(
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
-    """Iterate some rows; move unfinished ones to the front, return their number."""
-    left = 0
-    for k in range(len(rows)):
-        row, done = rows[k], True
-        for q in range(z.shape[1]):
-            residual, modulus, elastic, stress = values[k, q]
-            if residual == 0.0:
-                continue
-            step = -residual / (softer * elastic)
-            new = z[row, q] - residual / modulus if modulus > 0.0 else z[row, q] + step
-            if floor > 0.0:  # a stretch is at most halved
-                new = max(new, (z[row, q] - 1.0) / 2)
-            small = abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
-            if not small:
-                if residual < 0.0:
-                    low[row, q] = z[row, q]
-                else:
-                    high[row, q] = z[row, q]
-                new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
-                # a law undefined from the start counts as finished
-                done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
-            z[row, q] = new
-        if not done:
-            rows[left] = row
-            left += 1
-    return left
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
-    """Iterate within the bracket, else its middle, and whether the bracket is exhausted."""
-    if low < new < high:
-        return new, False
-    middle = (low + high) / 2
-    if not np.isfinite(middle):
-        return instead, False
-    return middle, middle == low or middle == high
-
-
 @dataclass(frozen=True)
 class Response:
     """Response of a law in UFL to a strain."""
@@ -148,29 +114,17 @@ class Response:
     energy: Expr | None  # the incremental potential, if the law has one
     updated: dict[str, Expr]  # internal variables at the end of the step, () or (3, 3)
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
-    # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `solve_normal_strain`
-    equation: tuple[Expr, Expr, Expr, Expr] | None = None
-    normal_strain: Expr | None = None
-    start: Expr | None = None  # elastic root
 
 
-def respond(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Any = None) -> Response:
+def respond(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Response:
     """Stress, energy and new internal variables of a law in UFL; a ValueError if the law fails.
 
-    z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
+    In plane stress only of a linear law.
     """
-    equation = root = start = None
-    unit = 1.0 if law.strain == "finite" else 0.0
-    if law.plane_stress and law.normal_strain is not None:
-        root = _call(law, "normal_strain", (), in_plane(strain), state, p)
-        z = root if z is None else z
-    elif law.plane_stress:
-        there = with_normal(strain, unit + (0.0 if z is None else z))
-        equation = _equation(law, there, state, p)
-        start = None if unit else _elastic_root(law, in_plane(strain), state, p)
-        z = -equation[0] / equation[1] if z is None else z
     if law.plane_stress:
-        strain = with_normal(strain, unit + z)
+        strain = in_plane(strain)
+        normal = _change(law, strain, state, p, NORMAL)[2, 2]
+        strain = with_normal(strain, -_stress(law, strain, state, p)[2, 2] / normal)
     energy = None if law.energy is None else _call(law, "energy", (), strain, state, p)
     stress = _stress(law, strain, state, p)
     updated = _updated_state(law, strain, state, p)
@@ -180,7 +134,7 @@ def respond(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Any = 
 
     if not law.plane_stress:
         return Response(stress, energy, updated, change)
-    return Response(in_plane(stress), energy, updated, condensed(change), equation, root, start)
+    return Response(in_plane(stress), energy, updated, condensed(change))
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -211,22 +165,6 @@ class _VariableStripper(MultiFunction):
     def variable(self, o: Variable, expression: Expr, label: Label) -> Expr:
         """Return the operand."""
         return expression
-
-
-def _equation(
-    law: Law, strain: Expr, state: Mapping[str, Expr], p: Any
-) -> tuple[Expr, Expr, Expr, Expr]:
-    stress = _stress(law, strain, state, p)
-    modulus = _change(law, strain, state, p, NORMAL)[2, 2]
-    elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
-    return stress[2, 2], modulus, elastic, ufl.sqrt(ufl.inner(stress, stress))
-
-
-def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    if law.state.get(PLASTIC) == (3, 3):
-        strain = strain - state[PLASTIC]
-    stress, moduli = (_call(law, "elastic_stress", (3, 3), e, p) for e in (strain, NORMAL))
-    return -stress[2, 2] / moduli[2, 2]
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
@@ -300,6 +238,7 @@ class PointValues:
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
     normal: Floats | None = None  # (q,) z of plane stress, see `solve_normal_strain`
     energy: Floats | None = None  # (q,) of a law of F that has one
+    elastic: Floats | None = None  # (q,) C_zzzz of `elastic_stress`, of a law in UFL
 
     @property
     def undefined(self) -> Bools:
@@ -343,20 +282,25 @@ def _normal_at_points(
     """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
     finite = law.strain == "finite"
 
-    def equation(points: Ints, z: Floats) -> Floats:
-        some = _flat(strain[points], 1.0 + z[:, 0] if finite else z[:, 0])
+    def equation(points: Ints, z: Floats) -> Sequence[Floats]:
+        some = _flat(strain[points], 1.0 + z if finite else z)
         here = ({n: v[points] for n, v in values.items()} for values in (state, p))
         found = _updated(law, some, *here)
-        return normal_equation(found.stress.reshape(-1, 9), found.tangent.reshape(-1, 81))
+        moduli = found.tangent.reshape(-1, 81)
+        return normal_equation(found.stress.reshape(-1, 9), moduli, found.elastic)
 
-    return solve_normal_strain(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
+    return solve_normal_strain(law.name, equation, len(strain), finite=finite)
 
 
-def normal_equation(stress: Floats, tangent: Floats) -> Floats:
-    """Values of an `Equation` at q points, of components (q, ..) of which zz is the last."""
-    stiffest = np.abs(tangent).max(axis=1, initial=0.0)
-    parts = [stress[:, -1], tangent[:, -1], stiffest, np.linalg.norm(stress, axis=1)]
-    return np.stack(parts, axis=1)[:, None]
+def normal_equation(
+    stress: Floats, tangent: Floats, elastic: Floats | None = None
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Values of an `Equation` at q points, of components (q, ..) of which zz is the last.
+
+    Without elastic moduli (q,) the largest one of the tangent.
+    """
+    stiffest = np.abs(tangent).max(axis=1, initial=0.0) if elastic is None else elastic
+    return stress[:, -1], tangent[:, -1], stiffest, np.linalg.norm(stress, axis=1)
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:
@@ -375,6 +319,8 @@ def _updated(
 ) -> PointValues:
     where, q = f"{law.name}.update", len(strain)
     found = _guarded(law, "update", strain, state, grouped(p))
+    if isinstance(found, PointValues):  # of a law in UFL
+        return found
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"

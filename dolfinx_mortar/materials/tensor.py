@@ -4,7 +4,8 @@
 The stored shear is the tensor component (not the engineering strain), once.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +24,18 @@ INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENT
 
 def from_components(c: Expr) -> Expr:
     """Tensor (3, 3) of stored components c (3, 4 or 6)."""
-    xx, yy, zz, xy, yz, xz = (c[i] if i < c.ufl_shape[0] else 0 for i in range(6))
-    return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return from_entries(INDEX[: c.ufl_shape[0]], c, True)
+
+
+def from_entries(
+    entries: Sequence[tuple[int, int]], values: Iterable[Any], symmetric: bool
+) -> Expr:
+    """Tensor (3, 3) of the values of some entries (and their mirrors), zero elsewhere."""
+    rows: list[list[Any]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
+    for (i, j), value in zip(entries, values, strict=True):
+        rows[i][j] = value
+        rows[j][i] = value if symmetric else rows[j][i]
+    return ufl.as_tensor(rows)
 
 
 def to_components(tensor: Expr, size: int) -> Expr:
@@ -113,12 +124,11 @@ def contract(
 
     A `symmetric` tensor has each of its entries below the diagonal, too.
     """
-    rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
-    for a, (i, j) in enumerate(entries):
+    sums = []
+    for a in range(len(entries)):
         terms = []
         for b, (k, m) in enumerate(entries):
             times = 2 if symmetric and k != m else 1
             terms.append(moduli(min(a, b), max(a, b)) * times * direction[k, m])
-        rows[i][j] = sum(terms)
-        rows[j][i] = rows[i][j] if symmetric else rows[j][i]
-    return ufl.as_tensor(rows)
+        sums.append(sum(terms))
+    return from_entries(entries, sums, symmetric)

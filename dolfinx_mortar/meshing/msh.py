@@ -67,11 +67,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         comm: communicator of the mesh.
 
     Raises:
-        OSError: if the file is missing or cannot be read.
-        ValueError: if the file is damaged or no .msh file; if cells are in no physical group or
-            several, of several kinds or an unknown one; if a group is empty, or of no facets of
-            bodies.
-        RuntimeError: without gmsh. All on all ranks.
+        OSError: on all ranks, as the others, if the file cannot be read.
+        ValueError: if it is damaged or no .msh file; if cells are in no physical group or several,
+            of several kinds or an unknown one; if a group is empty, or of no facets of bodies.
+        RuntimeError: without gmsh.
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)
@@ -113,6 +112,7 @@ def _open(file: Path, stack: ExitStack) -> Any:
     gmsh = stack.enter_context(gmsh_model())
     try:
         gmsh.merge(str(file))
+        gmsh.model.mesh.unpartition()
         if all(tag for dim, tag in gmsh.model.getEntities() if dim):
             return gmsh
         gmsh.model.remove()
@@ -204,7 +204,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
         )
 
     def count(entities: list[tuple[int, int]]) -> int:
-        """Number of elements, ghosts of partitions only once."""
+        """Number of elements, those of several groups once."""
         tags = [some for at in entities for some in model.mesh.getElements(*at)[1]]
         return len(np.unique(np.concatenate([[], *tags])))
 

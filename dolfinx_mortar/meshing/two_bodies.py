@@ -61,25 +61,24 @@ def hertz(
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
     The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``, the disc has its lowest point at (0,
-    ``gap``) and its flat face on top. The mesh is symmetric in x; (0, 0) and (0, ``gap``) are
-    nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and "axis", x = 0 in the
-    half.
+    ``gap``) and its flat face on top; both are symmetric in x. Bodies: "block", "disc". Sides:
+    "bottom", "top", "flat", "arc", and "axis", x = 0 in the half.
 
     Args:
         kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles); "graded":
             size ``h`` within ``core`` of the first contact point and h (1 + r - core), at most
             ``limit`` h, at distance r mm.
-        h: element size of the graded mesh [mm]; a pair gives (block, disc) separately.
+        h: element size of the graded mesh [mm]; a pair for (block, disc).
         radius: of the disc [mm].
         block: width and thickness [mm].
         gap: initial gap [mm], negative for an overlap.
         cell: "triangle" or "quadrilateral".
         half: leave out x < 0; the rest is also the section of a ball on a round plate.
-        limit: largest size over h, greater than 1.
-        core: distance at which the graded mesh begins to coarsen [mm].
+        limit: largest size over h.
+        core: distance at which sizes begin to grow [mm].
 
     Raises:
-        ValueError: on all ranks, if an argument is out of range or differs between ranks.
+        ValueError: on all ranks, for an argument out of range or other ones on other ranks.
         RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
@@ -143,21 +142,19 @@ def sphere(
     """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
 
     As `hertz`, with the quarter x, y >= 0 of the block [-w/2, w/2] x [-l/2, l/2] x [-t, 0], (w, l,
-    t) = ``block``. Bodies: "block", "ball". Sides: "bottom", "top", "flat", "sphere", and
-    "symmetry_x" and "symmetry_y", on x = 0 and y = 0.
+    t) = ``block``. Bodies: "block", "ball". Sides: "bottom", "top", "flat", "sphere", "symmetry_x"
+    on x = 0 and "symmetry_y" on y = 0.
 
     Args:
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
-        h: element size at the first contact point [mm]; a pair gives (block, ball) separately. The
-            ball has one hexahedron more along the edge of the core, so that meshes do not match.
+        h: element size at the first contact point [mm]; a pair for (block, ball). The ball has one
+            hexahedron more along the edge of the core, so that meshes do not match.
         radius: of the ball [mm].
         block: width, length and thickness [mm].
         gap: as in `hertz`.
         core: distance from the contact point with size ``h`` [mm], by default an eighth of the
             radius; beyond, sizes grow in proportion to the distance.
-        half: whether to mesh the half y >= 0 instead, without "symmetry_x".
-
-    Errors as of `hertz`.
+        half: mesh the half y >= 0 instead, without "symmetry_x".
     """
     given = dict(locals())
     with raised_together(comm):
@@ -220,18 +217,10 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
     """Mesh an octant x, y, z >= 0 by hexahedra, its outer boundary star-shaped about the origin.
 
-    The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
-    outer faces, larger in proportion to the distance.
-
-    Args:
-        edge: edge of the cube.
-        n: cells along it.
-        radius: typical distance of the outer boundary, for the number of shells.
-        outer: maps points (p, 3) on the far faces of the unit cube to the outer boundary; zero
-            coordinates remain zero.
-
-    Returns:
-        Nodes (p, 3) and cells (m, 8) in the order of dolfinx.
+    The cube at the origin, of an edge, has n^3 equal cells; each shell around it repeats the 3 n^2
+    facets of its outer faces, larger in proportion to the distance. The radius, a typical distance
+    of the outer boundary, gives the number of shells; `outer` maps points (p, 3) on the far faces
+    of the unit cube to that boundary.
 
     >>> x, cells = graded_octant(1.0, 2, 2.0, lambda p: 2.0 * p)
     >>> x.shape, cells.shape
@@ -293,8 +282,7 @@ def mesh_by_gmsh(
 ) -> Arrays:
     """Nodes (n, 3) and cells (m, k) of what ``draw(gmsh)`` draws.
 
-    Sizes are the first one up to the first distance from a point of the drawing, the second one
-    from the second distance on, and linear between.
+    Sizes grow linearly between two distances from a point of the drawing.
     """
     with gmsh_model() as gmsh:
         mesh = gmsh.model.mesh
@@ -377,9 +365,9 @@ def two_bodies(
 ) -> TaggedMesh:
     """Mesh of the two bodies that ``create`` returns on rank 0, with names; collective.
 
-    Tags are 1, 2, 3 .. in the order of the names. ``sides`` gets all exterior facets of a rank,
-    whether of the first body (m,) and nodes (m, k, 3), and returns masks (m,) of the sides; a facet
-    belongs to the last one that marks it.
+    Tags are 1, 2, 3 .. in the order of the names. ``sides`` gets masks (m,) of exterior facets of
+    the first body and their nodes (m, k, 3), and returns masks of the sides, of which the last one
+    counts.
     """
     mesh, first = distribute(comm, create, cell)
     mesh.name, d = name, mesh.topology.dim
@@ -437,9 +425,9 @@ def sides_of_contact(
 
 
 def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:
-    """Check the element sizes of a block and of a round body on it.
+    """Element sizes of a block and of a round body on it, checked.
 
-    `sides`: names of the block's sides, separated by commas, the thickness last.
+    `sides` names those of the block, separated by commas, the thickness last.
     """
     wanted = "give a positive size, or two, of the block and of the round body"
     sizes = check("h", h, array((), (2,), remedy=wanted, holds=_positive))

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import STEP
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments
@@ -103,7 +103,7 @@ def find_spreads(
     around = boundary[np.flatnonzero(near)]
     S += blur[nodes, None, None] * np.eye(S.shape[1])
     every = np.arange(len(around.nodes), dtype=np.int32)
-    middle = around.facets.element.points.mean(axis=0)[None].repeat(len(every), axis=0)
+    middle = around.facets.element.centre.repeat(len(every), axis=0)
     slopes = surface_gradients(around.facets, every, middle)
     return Spreads(V, nodes, S, mirrors, turned, around, *slopes)
 
@@ -124,14 +124,9 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Rotations by Newton-Schulz iterations."""
-    R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
-    for _ in range(LIMIT):
-        off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
-        R -= R @ off / 2
-        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # the last step squares it
-            break
-    return np.asarray(R)
+    """Nearest rotations (n, d, d)."""
+    U, _, V = np.linalg.svd(F)
+    return np.asarray(U @ V)
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,10 +179,9 @@ def find_smooth_sides(
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
     facets, count = received_facets(pairing, None), _count_edges(other, master.owned)
     if isinstance(other, NodeNormals):
-        jumps = np.zeros_like(other.open) if other.jumps is None else other.jumps
-        columns = [other.n, other.open, other.sharp, jumps]
-        *n, is_open, sharp, jumps = receive(pairing, np.column_stack(columns)).T
-        other = NodeNormals(np.stack(n, axis=1), is_open > 0.0, sharp > 0.0, jumps > 0.0)
+        columns = [other.n, ~(other.regular | other.sharp), other.sharp]
+        *n, one_sided, sharp = receive(pairing, np.column_stack(columns)).T
+        other = NodeNormals(np.stack(n, axis=1), one_sided > 0.0, sharp > 0.0)
     else:
         other = receive(pairing, flat(other)).reshape(-1, *other.shape[1:])
     return (

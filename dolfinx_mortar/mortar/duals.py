@@ -316,7 +316,7 @@ def choose_duals(
     while True:  # with fewer nodes each time
         keep = default_keep(pairing, segments, *weights, allowed)
         Phi = weighted_duals(pairing, segments, keep)
-        force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
+        force = integrate_values(pairing, segments, Phi, np.ones((len(Phi), 1)))[:, 0]
         pulls = keep & (force <= LEAST_COVERAGE * weights[0])
         if not any_rank(pairing.slave.V.mesh.comm, pulls.any())[0]:
             return keep, Phi

@@ -6,7 +6,6 @@ body. An overlap is a negative distance.
 """
 
 from dataclasses import dataclass, fields
-from itertools import count
 from typing import Any
 
 from mpi4py import MPI
@@ -28,6 +27,7 @@ from dolfinx_mortar.geometry.flat import bounds, facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import THROUGH
+from dolfinx_mortar.mortar.self_contact import neighbours
 from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
 
 
@@ -159,32 +159,14 @@ def find_faces(
     comm = V.mesh.comm
     ends = nodes[:, np.array(facets.element.vertices)]
     numbers = V.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
-    edges: Longs = np.asarray(numbers, dtype=np.int64).reshape(*ends.shape, 1)
-    if facets.x.shape[2] > 2:
-        edges = np.sort(np.concatenate([edges, np.roll(edges, -1, axis=1)], axis=2), axis=2)
-    sent = comm.allgather((edges, body, facet_normals(facets)))
-    edges, body, normals = (np.concatenate(each) for each in zip(*sent, strict=True))
-    m, per_facet = edges.shape[:2]
-    owner = np.repeat(np.arange(m), per_facet)
-    keys = np.column_stack([edges.reshape(len(owner), -1), body[owner]])
-    first, second = owner[_meeting(keys)]
+    keys: Longs = np.asarray(numbers, dtype=np.int64).reshape(ends.shape)
+    sent = comm.allgather((keys, body, facet_normals(facets)))
+    keys, body, normals = (np.concatenate(each) for each in zip(*sent, strict=True))
+    first, second = neighbours(keys, facets.x.shape[2] - 1)
     smooth = (normals[first] * normals[second]).sum(axis=1) > np.cos(np.radians(feature_angle))
-    first, second = first[smooth], second[smooth]
+    smooth &= body[first] == body[second]
+    first, second, m = first[smooth], second[smooth], len(keys)
     graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(m, m))
     _, face = scipy.sparse.csgraph.connected_components(graph, directed=False)
     before = comm.exscan(len(nodes)) or 0
     return np.asarray(face[before : before + len(nodes)], dtype=np.int64)
-
-
-def _meeting(keys: Longs) -> Longs:
-    """Pairs (2, p) of rows with equal keys."""
-    order = np.lexsort(keys.T)
-    sorted_keys = keys[order]
-    found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]
-    for step in count(1):
-        same = (sorted_keys[step:] == sorted_keys[:-step]).all(axis=1)
-        if not same.any():
-            break
-        where = np.flatnonzero(same)
-        found.append(np.stack([order[where], order[where + step]], axis=1))
-    return np.concatenate(found).T

@@ -84,16 +84,7 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
 
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
     """Sums (size, k) of weighted Phi (q, k) times values (q,) by places (q,)."""
-    sums = np.zeros((size, Phi.shape[1]))
-    _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
-    return sums
-
-
-@numba.njit(**SUMS)
-def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
-    for i in range(len(Phi)):
-        for q in range(len(where)):
-            sums[where[q], i] += Phi[i, q] * values[q]
+    return sums_of_products(Phi, values[:, None], where, size)[:, :, 0]
 
 
 class Integrated(Protocol):
@@ -225,7 +216,6 @@ def weigh(slave: Surface, weight: Weight | None, segments: Segments, facets: Fac
 def integrate_values(
     pairing: Integrated, segments: Segments, Phi: Floats, values: Floats
 ) -> Floats:
-    """Int Phi_j f (n,) at the slave nodes for f (q,) (collective)."""
+    """Int Phi_j f (n, c) at the slave nodes for f (q, c) (collective)."""
     slave = pairing.slave
-    parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
-    return sum_at_nodes(slave, parts[:, :, None])[:, 0]
+    return sum_at_nodes(slave, sums_of_products(Phi, values, segments.slave, len(slave.facets)))

@@ -16,8 +16,13 @@ from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
-from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
-from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
+from dolfinx_mortar.geometry.facets import (
+    FacetElement,
+    points_of,
+    scaled_normals,
+    triangle_rule,
+    tributary_weights,
+)
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (
@@ -91,7 +96,7 @@ def create_operators(
     motions: Floats | None = None
     if heights_of is not None:
         at_points = point_heights(pairing, segments, u, heights_of)
-        heights = mean_values(pairing, segments, Phi[0], weight[:, 0], at_points)
+        heights = mean_values(pairing, segments, Phi[0], weight[:, :1], at_points[:, None])[:, 0]
     if motions_of is not None:
         at = point_motions(segments, motions_of)
         row = pairing.row[len(pairing.off_diagonal) :]
@@ -168,7 +173,10 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Int Phi_j f / D_jj (n,) at the owned slave nodes, or 0, for f (q,) (collective)."""
+    """Int Phi_j f / D_jj (n, c) at the owned slave nodes, or 0, for f (q, c) (collective).
+
+    The weights D_jj are (n, 1).
+    """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
 
@@ -252,10 +260,3 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
         P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
         coverage=find_coverage(side, segments, *weights),
     )
-
-
-def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
-    """As `mean_values`, (n, c) for f (q, c); collective."""
-    weight = found.weight[:, 0]
-    at = side, found.segments, found.Phi, weight
-    return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)

@@ -31,8 +31,7 @@ from dolfinx_mortar.common.arrays import (
     Ints,
     Longs,
 )
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.facets import LINE2, TRI3, Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import find_passing, flat_parts
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_of_bodies
@@ -78,21 +77,14 @@ class SeenByTool:
         against[-len(self.turn) :] -= self.turn
         return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
 
-    def ways(
-        self, body: RigidMotion, seen: RigidMotion
-    ) -> Callable[[Floats, Floats], list[Floats]]:
-        """Return a function: points (.., d) in space at start and end -> paths in the tool's frame.
+    def ways(self, body: RigidMotion, start: Floats, end: Floats) -> list[Floats]:
+        """Paths (t, .., d) in the tool's frame, of points in space at start and end.
 
-        Below half a turn the relative motion, `seen`, is steady; else `body` turns steadily in
-        space, and the tool about its point, which moves straight.
+        The body turns steadily in space, and the tool about its point, which moves straight.
         """
-        if not self.turns_round(body):
-            steady = times_of(seen.angle())
-            return lambda a, b: list(path(seen, steady, self.at(0.0, a), self.at(1.0, b)))
         times = times_of(body.angle() + float(np.degrees(np.linalg.norm(self.turn))))
-        return lambda a, b: [
-            self.at(t, np.asarray(x)) for t, x in zip(times, path(body, times, a, b), strict=True)
-        ]
+        ways = zip(times, path(body, times, start, end), strict=True)
+        return [self.at(t, np.asarray(x)) for t, x in ways]
 
 
 @dataclass(frozen=True)
@@ -184,19 +176,19 @@ def find_passed_tool(
     inner = depth_of_point(comm, seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
     within = inner >= HALF_OF_DIGITS * least  # tips are on the surface
-    sums = np.stack([rigid_sums(*(at[: own.owned] for at in both)) for both in (x, y)])
-    body, motion = (best_motion(part) for part in comm.allreduce(sums, op=MPI.SUM))
+    body = best_motion(comm.allreduce(rigid_sums(*(at[: own.owned] for at in x)), op=MPI.SUM))
     near = not most >= min(-least, inner if within else np.inf)
     if near and not seen.turns_round(body):
         return None
-    ways = seen.ways(body, motion)
     (faces, start), (_, end) = side.at(before), side.at(now)
     with raised_together(comm):  # errors of a user's function
-        entered = np.flatnonzero(_enter(ways(start, end), QUARTER_OF_DIGITS * depth, seen.distance))
+        ways = seen.ways(body, start, end)
+        entered = np.flatnonzero(_enter(ways, QUARTER_OF_DIGITS * depth, seen.distance))
     found = _first(side, None, faces, entered.astype(np.int64))
     if found is not None or not within:
         return found
-    parts = ways(*(_behind(flat_parts(facets_at(own, at)), -least, inner) for at in x))
+    inward = (_behind(flat_parts(facets_at(own, at)), -least, inner) for at in x)
+    parts = seen.ways(body, *inward)
     point = seen.point[None]
     passes = sum(len(find_passing((point, point), (a, b))) for a, b in pairwise(parts))
     if not maximum(comm, float(passes))[0]:
@@ -228,16 +220,11 @@ def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Float
         >>> _enter(ways, np.full(2, 0.02), lambda x: np.hypot(*x.T) - 0.01).tolist()
         [True, False]
     """
-    reach = distance(ways[0])  # lower bounds
-    inside, outside = reach < 0.0, reach > 0.0
-    for a, b in pairwise(ways):
-        before, reach = reach, reach - np.linalg.norm(b - a, axis=1)
-        some = np.flatnonzero((reach < 0.0) & ~inside)
-        if some.size:
-            reach[some] = distance(b[some])
-            ends = (a[some], b[some]), (before[some], reach[some])
-            inside[some] = _cross(*ends, least[some], distance)
-    return inside & outside
+    phi = [distance(x) for x in ways]
+    inside, outside = phi[0] < 0.0, phi[0] > 0.0
+    for ends, distances in zip(pairwise(ways), pairwise(phi), strict=True):
+        inside |= _cross(ends, distances, least, distance)
+    return np.asarray(inside & outside)
 
 
 def _cross(

@@ -104,7 +104,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     rank = np.empty(n, dtype=np.int64)
     rank[order] = np.arange(n)
     a, b = np.sort(np.stack([rank[a], rank[b]]), axis=0)
-    beside, slaves = _neighbours(keys[order], X.shape[2] - 1), n
+    beside, slaves = neighbours(keys[order], X.shape[2] - 1), n
     powers = np.rint(np.log2(size[order][a] / size[order][b]))
     unequal = powers != 0.0
     finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
@@ -124,17 +124,19 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     ends = first[place].astype(np.int32), second[place].astype(np.int32)
     graph = scipy.sparse.csr_array((place + 1.0, ends), shape=(n + 1, n + 1))
     tree = scipy.sparse.csgraph.minimum_spanning_tree(graph).tocoo()
-    way, above = scipy.sparse.csgraph.breadth_first_order(tree, slaves, directed=False)
-    other: dict[tuple[int, int], bool] = {}
-    for i, j, k in zip(tree.row.tolist(), tree.col.tolist(), tree.data, strict=True):
-        other[i, j] = other[j, i] = bool(different[int(k) - 1])
-    odd = np.zeros(n + 1, dtype=bool)
-    for k in way[1:].tolist():
-        odd[k] = odd[above[k]] ^ other[k, int(above[k])]
-    return ~odd[rank]
+    # two copies of each facet, of either role: the tree connects equal or opposite ones
+    turn = (n + 1) * different[tree.data.astype(np.int64) - 1]
+    ends = (
+        np.append(tree.row, tree.row + n + 1),
+        np.append(tree.col + turn, tree.col + n + 1 - turn),
+    )
+    both = scipy.sparse.coo_array((np.ones(2 * len(turn)), ends), shape=(2 * n + 2, 2 * n + 2))
+    _, role = scipy.sparse.csgraph.connected_components(both, directed=False)
+    return np.asarray(role[rank] == role[slaves])
 
 
-def _neighbours(keys: Longs, least: int) -> Longs:
+def neighbours(keys: Longs, least: int) -> Longs:
+    """Pairs (2, p) of rows (n, k) with at least so many common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """One side of an interface as flat arrays: nodes, facets, coordinates and normals."""
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -14,13 +15,14 @@ import numpy.typing as npt
 
 import basix
 import dolfinx
-from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.common.spaces import check_space, connected_parts
 from dolfinx_mortar.common.tags import check_entities, label, labels, tag_of
-from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
+    FACETS_OF,
+    FacetElement,
     Facets,
     bounding_balls,
     distortions,
@@ -55,7 +57,6 @@ class Surface:
     entities: Ints  # (m,) local facets of the mesh
     X: Floats
     thickness: Floats  # (m,) of the body behind each facet at X, or inf
-    sums: PETSc.Vec  # work vector of `accumulate`
 
     @property
     def curved(self) -> bool:
@@ -164,19 +165,6 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
     return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
 
 
-def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
-    index_map = V.dofmap.index_map
-    owned = np.flatnonzero(marks(index_map, nodes)[: index_map.size_local])
-    numbers = np.zeros((index_map.size_local, 1))
-    numbers[owned, 0] = (V.mesh.comm.exscan(len(owned)) or 0) + np.arange(len(owned))
-    ghosts = nodes[nodes >= index_map.size_local]
-    asked = index_map.local_to_global(ghosts)
-    ghost_numbers = values_at(V.mesh.comm, numbers, asked)[:, 0].astype(PETSc.IntType)
-    sums = PETSc.Vec().createGhost(ghost_numbers, (len(owned), None), comm=V.mesh.comm)
-    return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
-
-
 def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
     finite = np.isfinite(facets.x).all()
     quality = distortions(facets) if finite else np.ones(len(facets.x))
@@ -212,7 +200,9 @@ def create_surface(
     nodes_of, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes_of = _order_outwards(X, nodes_of, cells, V)
-    nodes, owned, sums = _create_sums(V, np.unique(nodes_of))
+    nodes, size = np.unique(nodes_of), V.dofmap.index_map.size_local
+    owned = np.flatnonzero(marks(V.dofmap.index_map, nodes)[:size])  # also of others' facets
+    nodes = np.concatenate([owned, nodes[nodes >= size]]).astype(np.int32)
     called = label(facet_tags, value)
     facets = Facets(element, X[nodes_of])
     _check_shapes(facets, V.mesh.comm, f"{name}={called}")
@@ -221,13 +211,12 @@ def create_surface(
         tag=value,
         label=called,
         nodes=nodes,
-        owned=owned,
+        owned=len(owned),
         element=element,
         facets=np.searchsorted(nodes, nodes_of).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
         thickness=_thickness(V, facets, nodes_of),
-        sums=sums,
     )
 
 
@@ -324,18 +313,21 @@ def cells_of(surface: Surface) -> Ints:
 
 def accumulate(surface: Surface, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
     """Sums over ranks of nodal values (n,) or (n, c), or maxima, also at ghosts (collective)."""
-    mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
-    result = np.array(values, dtype=float)
-    if surface.V.mesh.comm.size == 1:
+    result, comm = np.array(values, dtype=float), surface.V.mesh.comm
+    if comm.size == 1:
         return result
-    columns = result[:, None] if result.ndim == 1 else result  # views
-    for column in columns.T:
-        with surface.sums.localForm() as local:
-            local.array_w[:] = column
-        surface.sums.ghostUpdate(mode, PETSc.ScatterMode.REVERSE)
-        surface.sums.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
-        with surface.sums.localForm() as local:
-            column[:] = local.array_r
+    index_map, c = surface.V.dofmap.index_map, math.prod(result.shape[1:])
+    columns, ghosts = result.reshape(len(result), c), index_map.ghosts.astype(PETSc.IntType)
+    sums = PETSc.Vec().createGhost(ghosts, (c * index_map.size_local, None), bsize=c, comm=comm)
+    with sums.localForm() as local:
+        local.set(-np.inf if largest else 0.0)
+        local.array_w.reshape(-1, c)[surface.nodes] = columns
+    mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
+    sums.ghostUpdate(mode, PETSc.ScatterMode.REVERSE)
+    sums.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
+    with sums.localForm() as local:
+        columns[:] = local.array_r.reshape(-1, c)[surface.nodes]
+    sums.destroy()
     return result
 
 
@@ -415,8 +407,7 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
-    middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
-    normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]
+    normals = scaled_normals(facets_at(surface, of_nodes), surface.element.centre)[:, 0]
     return np.asarray(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
 
 

@@ -20,8 +20,7 @@ from dolfinx_mortar.common.arrays import CHUNK, HALF_OF_DIGITS, TINY, Bools, Flo
 from dolfinx_mortar.geometry import line
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.curvature import height_table, node_pairs
-from dolfinx_mortar.geometry.elements import FacetElement
-from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes, surface_gradients
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, normals_at_nodes, surface_gradients
 from dolfinx_mortar.geometry.moments import Sides, Sums, moments_in_space, whole
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
@@ -64,9 +63,7 @@ class Derivatives:
 
 
 class _Surfaces(NamedTuple):
-    c_s: Floats  # (P, e) c_ab, or (P, 0)
-    c_m: Floats  # (P, e')
-    arcs: Floats  # (P, 2, 2) see `curvature.arcs_of_chords`
+    heights: Sequence[Floats]  # see `create_points`; of facets (P, 0, 0)
     slopes: Floats  # (P, s, k + l, d) of c_ab, or of log chord lengths
     tables: tuple[Floats, Floats]  # (e, k, k) see `height_table`
     lengths: bool  # slopes are of lengths
@@ -96,19 +93,12 @@ def _differentiate(
 ) -> Results:
     (k, d), (c, l) = sides.x.shape[1:], sides.place.shape  # noqa: E741
     others, lengths = d * (k + sides.n.shape[1]), c * surfaces.lengths
-    Q_s: Floats = np.empty((0, k, k))
-    Q_m: Floats = np.empty((0, l, l))
-    if surfaces.c_s.size:
-        Q_s, Q_m = (
-            np.asarray(np.tensordot(v, t, 1), np.float64)
-            for v, t in zip(surfaces[:2], surfaces.tables, strict=True)
-        )
     moved, p, m = surfaces.slopes.size > 0, len(sides.x), sides.y.shape[1]
     E_s, E_m = (np.zeros((c * moved - lengths, k, v, v)) for v in (k, l))
     z, n = others + d * m, k + m + 1
     sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((lengths, k, 2)))
     find = line.moments if d == 2 else moments_in_space
-    find(sides, (Q_s, Q_m, surfaces.arcs), types, sums)
+    find(sides, surfaces.heights, types, sums)
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
     return apply(sums.values, sums.changes, basis, fixed, sides.x, sides.y, others)
@@ -182,8 +172,8 @@ def differentiate(
         kept = duals.kept[s]
         basis = Basis(absorbing(slave.element.shares, kept), duals.inverse[s], kept)
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
-        c_s, c_m, arcs, slopes = (v[group.pairs] for v in surfaces[:4])
-        some = surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs, slopes=slopes)
+        *heights, slopes = (v[group.pairs] for v in (*surfaces.heights, surfaces.slopes))
+        some = surfaces._replace(heights=heights, slopes=slopes)
         found = _differentiate(sides, some, types, basis, fixed)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
@@ -196,20 +186,22 @@ def _surfaces(
     used: Ints,
 ) -> _Surfaces:
     slave, master = pairing.slave.element, pairing.master.element
-    c_s: Floats = np.empty((len(used), 0))
-    arcs: Floats = np.empty((len(used), 2, 2))
-    c_m = c_s
+    none: Floats = np.empty((len(used), 0, 0))
+    heights, tables, lengths = 3 * (none,), (none, none), False
     slopes: Floats = np.empty((len(used), 0, slave.nodes + master.nodes, pairing.slave.X.shape[1]))
-    lengths = False
     if smooth is not None:
         a, b = find_curved(pairing, u, smooth, used)
         c_s, c_m, arcs = a.shared(b), b.shared(a), np.stack([a.arcs, b.arcs], axis=1)
+        tables = height_table(slave, c_s.shape[1]), height_table(master, c_m.shape[1])
+        Q_s, Q_m = (
+            np.asarray(np.tensordot(c, t, 1)) for c, t in zip((c_s, c_m), tables, strict=True)
+        )
+        heights = Q_s, Q_m, arcs
         lengths, shared = bool(arcs[:, :, 0].any()), slave.degree == 1
         if shared or lengths:
             of_s, of_m = _slopes(a, b, shared), _slopes(b, a, shared)[::-1]
             slopes = np.concatenate([np.concatenate(of, axis=2) for of in (of_s, of_m)], axis=1)
-    tables = height_table(slave, c_s.shape[1]), height_table(master, c_m.shape[1])
-    return _Surfaces(c_s, c_m, arcs, slopes, tables, lengths)
+    return _Surfaces(heights, slopes, tables, lengths)
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
@@ -392,12 +384,10 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
     """Surface gradients [f, j, l] of N_l at node j."""
-    element, (m, k, d) = facets.element, facets.x.shape
-    points = element.points
-    if element.degree == 1:  # the mean normal is that at the centre
-        points = np.broadcast_to(points.mean(axis=0), points.shape)
+    m, k, d = facets.x.shape
     which = np.repeat(np.arange(m, dtype=np.int32), k)
-    gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
+    points = np.tile(facets.element.normal_points, (m, 1))
+    gradients, _ = surface_gradients(facets, which, points)
     return gradients.reshape(m, k, k, d)
 
 

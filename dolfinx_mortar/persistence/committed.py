@@ -14,8 +14,8 @@ from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.common.step_report import LoadStep
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.solid.dirichlet import Dirichlet
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import Dirichlet
 from dolfinx_mortar.solid.term import Term, ask_term
 
 

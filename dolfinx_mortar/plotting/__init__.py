@@ -6,8 +6,7 @@
     dm.plotting.pressure(problem)
 
 Bodies in the plane are drawn by matplotlib, bodies in space by PyVista (``pip install
-dolfinx_mortar[demo]``), imported at first use. All functions are collective and gather on rank 0;
-for models that do not fit there use `Writer`, and ParaView.
+dolfinx_mortar[demo]``). All functions are collective and gather on rank 0.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ from dolfinx_mortar.common.spaces import CELLS
 from dolfinx_mortar.common.tags import names_of, tags_of
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import connect, facet_nodes
+from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
 
 __all__ = ["field", "mesh", "pressure"]
 
 SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
-NO_TAG = np.iinfo(np.int32).min
 File = str | os.PathLike[str] | None
 
 
@@ -66,8 +65,8 @@ def mesh(
         all ranks but 0.
 
     Raises:
-        ValueError: for no mesh, tags of another one, `view` in the plane, `ax` in space.
-        ImportError: without matplotlib or PyVista; the message names the extra.
+        ValueError: for wrong arguments, also `view` in the plane and `ax` in space.
+        ImportError: without matplotlib or PyVista.
         RuntimeError: in space, without a screen.
     """
     if not isinstance(mesh, dmesh.Mesh) or mesh.topology.cell_name() not in CELLS:
@@ -77,15 +76,12 @@ def mesh(
         )
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, facet_tags=facet_tags)
     tdim = mesh.topology.dim
-    check_optional("cell_tags", cell_tags, tags_of(mesh, tdim))
     check_optional("facet_tags", facet_tags, tags_of(mesh, tdim - 1))
-    values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
-    if cell_tags is not None:
-        inside = cell_tags.indices < len(values)
-        values[cell_tags.indices[inside]] = cell_tags.values[inside]
+    owned = mesh.topology.index_map(tdim).size_local
+    values = np.full(owned, UNTAGGED) if cell_tags is None else tags_of_cells(mesh, cell_tags)
     V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh)))
     x = V.tabulate_dof_coordinates()
-    layers = [(gather_bodies(V, x, values, at_nodes=False), cell_tags)]
+    layers = [(gather_bodies(V, x, values[:owned], at_nodes=False), cell_tags)]
     if facet_tags is not None:
         layers.append((_gather_facets(V, x, facet_tags), facet_tags))
     to = file, view, ax
@@ -107,14 +103,10 @@ def field(
 
     Args:
         problem: a `ContactProblem`, or a `Solid`, which has no tools.
-        name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
-            "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
-            "displacement_x".
+        name: of a scalar field of `Solid.cell_values`, such as "von_mises" or "stress_yy", with one
+            colour per cell; "displacement" for its length, or "displacement_x".
         scale: factor of displacements.
-        file: as `view`, `ax` and the result, see `mesh`.
-
-    Raises:
-        ValueError: for unknown names and tensors; else as `mesh`.
+        file: as `view`, `ax`, result and errors, see `mesh`.
     """
     solid = getattr(problem, "solid", problem)
     V = getattr(solid, "V", None)
@@ -133,7 +125,7 @@ def field(
         values = found.x.array[found.function_space.dofmap.list[:owned, 0]]
     bodies = gather_bodies(V, _moved(V, solid.u, scale), values, name in of_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
-    tools = [one.tool.outline() for one in every if one.tool is not None]
+    tools = [one.tool for one in every if one.tool is not None]
 
     to = file, view, ax
     return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))
@@ -149,12 +141,10 @@ def pressure(
 
     Args:
         problem: a `ContactProblem` after a step.
-        interfaces: one or several of its interfaces, by default its contacts, or its ties if it has
-            none.
-        file: as `view`, `ax` and the result, see `mesh`.
+        interfaces: some of its interfaces, by default its contacts, or its ties if it has none.
+        file: as `view`, `ax`, result and errors, see `mesh`.
 
     Raises:
-        ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
     if not hasattr(problem, "supports"):
@@ -260,7 +250,7 @@ class Parts:
         self, tags: dmesh.MeshTags | None, colours: Sequence[str]
     ) -> Iterator[tuple[str, str, Parts]]:
         """Yield name, colour and parts of each tag, with colours repeated."""
-        names = {tag: name for name, tag in names_of(tags).items()} | {NO_TAG: "no tag"}
+        names = {tag: name for name, tag in names_of(tags).items()} | {UNTAGGED: "no tag"}
         for tag, colour in zip(np.unique(self.values), cycle(colours), strict=False):
             on = self.values == tag
             parts = replace(self, nodes=self.nodes[on], values=self.values[on])

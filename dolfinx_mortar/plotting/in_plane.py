@@ -68,7 +68,7 @@ def draw_field(axes: Any, cells: Parts, name: str, tools: list[Any]) -> None:
     x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1)
     for tool in tools:
-        phi = tool.distance(points.reshape(-1, 2)).reshape(GRID, GRID)
+        phi = tool.shape.values(tool.pose().to_tool(points.reshape(-1, 2))).reshape(GRID, GRID)
         if phi.min() < 0.0:
             axes.contourf(x, y, phi, levels=[phi.min(), 0.0], colors=[TOOL], zorder=0.5)
             axes.contour(x, y, phi, levels=[0.0], colors=["#404040"], linewidths=1.0)

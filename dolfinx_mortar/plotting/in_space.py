@@ -69,10 +69,11 @@ def draw_field(plotter: Any, outside: Parts, name: str, tools: list[Any]) -> Non
     low, high = outside.box
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     for tool in tools:
-        within = tool.pose.to_tool(corners)
+        pose = tool.pose()
+        within = pose.to_tool(corners)
         points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
         if len(cells):
-            surface: Any = pyvista.PolyData.from_regular_faces(tool.pose.to_space(points), cells)
+            surface: Any = pyvista.PolyData.from_regular_faces(pose.to_space(points), cells)
             clipped = surface.clip_box(np.column_stack([low, high]).ravel(), invert=False)
             if clipped.n_points:
                 style = {"color": TOOL, "opacity": 0.35, "smooth_shading": True}

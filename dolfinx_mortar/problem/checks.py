@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checks of the arguments of a problem and of its steps, the same on all ranks."""
+"""Checks of the arguments of a problem and of its steps, the same on all ranks; data of a step."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.parallel import any_rank, raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, largest, maximum, raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import (
     NUMBER,
@@ -23,9 +24,73 @@ from dolfinx_mortar.common.arguments import (
     number,
     one_of,
 )
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.common.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.solid.solid import Solid
+
+
+@dataclass(frozen=True)
+class StepData:
+    """Data of a step, read at its start."""
+
+    target: Floats  # (n,) prescribed displacements, 0 where free
+    asked: Floats  # (owned nodes, d) prescribed minus initial values
+    increment: float  # largest of these and of jumps
+    # active set (owned nodes,) and directions of slip (owned nodes, d)
+    contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
+    # with friction, of each interface: limits (owned nodes,), and slip partners, None for present
+    limits: Sequence[Floats | None] = ()
+    partners: Sequence[Partners | None] = ()
+    # bodies flow by the changes: the committed state is linearised
+    flows: bool = False
+    begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before the prediction
+    travel: Floats | None = None  # (m,) predicted motion of tools, or None
+
+
+def check_jumps(system: InterfaceSystem) -> None:
+    """Raise a ValueError on all ranks for NaN or too long jumps; collective."""
+    V, comm = system.V, system.V.mesh.comm
+    for interface, sides in zip(system.interfaces, system.sides, strict=True):
+        if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
+            continue
+        bad = comm.allreduce(int(np.sum(~np.isfinite(apart))))
+        if bad:
+            raise ValueError(
+                f"jump: {bad} values of {interface} are NaN or infinite; check its data"
+            )
+        if (longest := largest(comm, apart)) > (size := diagonal(V)):
+            raise ValueError(
+                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
+                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
+                "master side, in the unit of the mesh"
+            )
+
+
+def check_tightening(system: InterfaceSystem) -> str:
+    """Describe a pretension that needs a too large overlap, or ""; collective."""
+    size = diagonal(system.V)
+    for interface in system.interfaces:
+        if isinstance(bolt := interface.driven(), Bolt):
+            overlap = float(np.linalg.norm(bolt.overlap))
+            if overlap > size:
+                return (
+                    f"the pretension of {interface} needs an overlap of {overlap:.4g}, more than "
+                    f"the model's diagonal, {size:.4g}: the force may be too large for the "
+                    "stiffness of the bolt (check units of both)"
+                )
+    return ""
+
+
+def diagonal(V: fem.FunctionSpace) -> float:
+    """Diagonal of the model's box; collective."""
+    x = V.tabulate_dof_coordinates()
+    ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
+    return float(np.linalg.norm(ends[:3] + ends[3:]))
+
 
 GEOMETRIES = ("updated", "reference")
 CUTS = ("halve", "none")
@@ -82,12 +147,11 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
 
 
 def check_load_steps(
-    times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
+    comm: MPI.Comm, times: Any, start: Any, max_cuts: Any, cuts: Any
 ) -> list[float]:
     """Checked load levels, see `load_steps`; collective."""
     levels = _unrolled(times)
-    if comm is not None:
-        check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
+    check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
     for level in check("times", levels, instance(list, "give a list of levels, [1.0] for one")):
         check("times: a level", level, NUMBER)
     check_optional("start", start, number("the finite level of the committed state"))

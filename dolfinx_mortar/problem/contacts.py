@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
+from dolfinx_mortar.algebra.parallel import largest, norm, ratio
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.problem.linearisation import Balance, Linearisation, find_extent
@@ -31,7 +31,7 @@ class Contacts:
 
     def reactions(self, balance: Balance) -> Floats:
         """Reactions D_jj lambda_j (k,) on the bounded unknowns."""
-        return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
+        return balance.bounds.weight * self.multipliers[balance.nodes]
 
     def tangential_reactions(self, limits: SlipLimits) -> Floats:
         """Reactions D_jj tangential_j (m, d - 1) in the frames."""
@@ -249,9 +249,9 @@ def measure(
         stiffness[balance.equal.dofs] * missed,
         missing,
     )
-    work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
+    work = comm.allreduce(float(np.abs(z) @ off))
     whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)
-    widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
+    widest = largest(comm, off) / scales.facet_length
     excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
     contact = max(ratio(pull, scale), ratio(work, whole))
     return Residuals(ratio(forces, scale), contact, excess, limit)

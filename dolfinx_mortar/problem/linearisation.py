@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, largest
 from dolfinx_mortar.common.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
@@ -22,9 +21,9 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
+from dolfinx_mortar.qp import BoundQP, Friction, QPSolution
 from dolfinx_mortar.qp.preconditioner import interface_unknowns
 from dolfinx_mortar.solid.kinematics import on_axis
 
@@ -74,9 +73,7 @@ class Linearisation:
 
 def find_extent(mesh: Mesh, displacement: Floats) -> float:
     """Largest coordinate of the mesh plus the largest displacement; collective."""
-    x = mesh.geometry.x
-    sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
-    return float(sizes.sum())
+    return largest(mesh.comm, mesh.geometry.x) + largest(mesh.comm, displacement)
 
 
 def find_balance(
@@ -157,7 +154,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
     columns = np.stack([factor, known], axis=1)[slave.facets].sum(axis=1, keepdims=True)
     around = sum_at_nodes(slave, np.repeat(columns, slave.facets.shape[1], axis=1))
     mean = around[:, 0] / np.maximum(around[:, 1], 1.0)
-    return np.asarray(np.where(known, factor, mean)[: slave.owned])
+    return np.where(known, factor, mean)[: slave.owned]
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
@@ -174,7 +171,6 @@ def linearise(
     tangent: bool = True,
     shift: float = 0.0,
     pressure: Floats | None = None,
-    linear: LinearSolver | None = None,
     moving: tuple[Floats, Floats | None, Sequence[Partners | None]] | None = None,
 ) -> Linearisation:
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
@@ -186,12 +182,10 @@ def linearise(
         tangent: assemble K anew; linear laws need it once.
         shift: multiple of the elastic stiffness added to an indefinite K.
         pressure: mean stresses of a linearisation.
-        linear: default that of the problem.
         moving: for the exact tangent lambda_j (owned nodes,), tangential tractions (owned nodes,
             d), and the partners of each interface with friction.
     """
-    T, linear = problem.system.transformation, linear or problem.linear
-    direct, geometry, K = linear.direct, None, problem.K
+    T, K, geometry, direct = problem.system.transformation, problem.K, None, problem.linear.direct
     if moving is not None:
         multipliers, tangential, partners = moving
         with problem.timings("mortar"):
@@ -208,7 +202,7 @@ def linearise(
         if geometry is not None:
             geometry.forces += problem.terms.skews()
     with problem.timings("transform"):
-        A, b, diagonal, product = _reduced(problem, balance, geometry, linear)
+        A, b, diagonal, product = _reduced(problem, balance, geometry)
         bounds = balance.bounds
         lower, upper = problem.vector(), problem.vector()
         lower.set(PETSc.NINFINITY)
@@ -231,14 +225,11 @@ def linearise(
 
 
 def _reduced(
-    problem: ContactProblem,
-    balance: Balance,
-    geometry: GeometryTangent | None,
-    linear: LinearSolver,
+    problem: ContactProblem, balance: Balance, geometry: GeometryTangent | None
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec, CongruentOperator | None]:
     """K^ and r^ after the elimination, its diagonal before, and K^ as an operator to factorise."""
     T, K = problem.system.transformation, problem.K
-    held, operator = balance.eliminated, problem.operator
+    held, operator, linear = balance.eliminated, problem.operator, problem.linear
     exact, direct = geometry is not None, linear.direct
     change = None if T is None or (direct and exact) else T.change
     formed = direct  # a factorisation needs the matrix
@@ -274,12 +265,12 @@ def corrected(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, fl
         slips = law.some & law.acts(solved.active[law.normal] > 0)[:, None]
         acting = np.concatenate([acting, law.tangential[slips]])
     force = np.abs(lin.diagonal.array_r[acting] * found[acting])
-    largest = float(maximum(comm, force.max(initial=0.0))[0])
+    left = largest(comm, force)
     upper = lin.qp.upper.copy()
     upper.array[dofs] = np.minimum(bounds.upper - found[dofs], PETSc.INFINITY)
     if law is not None and lin.balance.limits is not None:
         law = replace(law, rest=-lin.balance.limits.slip - law.pick(found))
-    return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), largest
+    return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), left
 
 
 def _eliminated(
@@ -315,7 +306,7 @@ def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit:
     opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
     force = np.maximum(z, lin.diagonal.array_r[bounds.dofs] * opening)
     changed = ((start > 0) != (solved.active > 0)) & (force > limit)
-    return int(lin.qp.comm.allreduce(int(changed.sum()), op=MPI.SUM))
+    return int(lin.qp.comm.allreduce(int(changed.sum())))
 
 
 def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:

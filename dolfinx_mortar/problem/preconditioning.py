@@ -9,8 +9,7 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.common.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.qp import Change
-from dolfinx_mortar.solid.bodies import Bodies, rigid_motions
-from dolfinx_mortar.solid.dirichlet import Dirichlet
+from dolfinx_mortar.solid.supports import Bodies, Dirichlet, rigid_motions
 
 
 class UnknownsOfBodies:

@@ -11,22 +11,20 @@ the nodes. The dent is in the body whose motion reduces the overlap.
 
 from dataclasses import dataclass, replace
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, largest, maximum
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats
 from dolfinx_mortar.common.spaces import with_values
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.solid.bodies import Bodies
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.supports import Bodies
 
 
 def predict(
@@ -63,14 +61,12 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
             if not elastic[dent.group]:
                 continue
             at = problem.owned_u.copy()
-            problem.owned_u[:] += (free * convected(began, problem.bodies, dent)).ravel()
-            problem.u.x.scatter_forward()
+            problem.move(at + (free * convected(began, problem.bodies, dent)).ravel())
             found = _overlap(problem)
             if 2.0 * found < left:
                 left = found
                 break
-            problem.owned_u[:] = at
-            problem.u.x.scatter_forward()
+            problem.move(at)
 
 
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
@@ -92,10 +88,10 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
         return None
     travel, held = share * gained.travel, problem.supports.owned.ravel()
     by = np.where(held, target - problem.owned_u, share * gained.by)
-    problem.owned_u[:] += flows.repeat(problem.d) * by
-    problem.u.x.scatter_forward()
-    for tool, end in zip(driven, np.cumsum(counts), strict=True):
-        tool.move(travel[end - len(tool.names) : end])
+    problem.move(problem.owned_u + flows.repeat(problem.d) * by)
+    parts = np.split(travel, np.cumsum(counts, dtype=int))[:-1]
+    for tool, own in zip(driven, parts, strict=True):
+        tool.move(own)
     return travel
 
 
@@ -103,7 +99,7 @@ def _overlap(problem: ContactProblem) -> float:
     with problem.timings("mortar"):
         links = problem.system.at(problem.configuration).links
         gap = np.minimum(nodal_gaps(links, problem.positions(), problem.n), 0.0)
-        return float(np.sqrt(problem.comm.allreduce(float(gap @ gap), op=MPI.SUM)))
+        return float(np.sqrt(problem.comm.allreduce(float(gap @ gap))))
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,7 @@ def find_slides(
     shifts = bodies.mean(carried, np.ones_like(carried, dtype=bool))
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         comm, touching = sides.V.mesh.comm, closed[sides.nodes]
-        number = comm.allreduce(int(touching.sum()), op=MPI.SUM)
+        number = comm.allreduce(int(touching.sum()))
         if not sides.unilateral or number == 0:
             continue
         found = np.zeros((2, bodies.count))
@@ -148,10 +144,10 @@ def find_slides(
         else:
             tool = interface.tool
             ways = np.zeros_like(at) if tool is None else tool.way(at, at)
-            other = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
+            other = comm.allreduce(ways.sum(axis=0)) / number
         way = other - own
         normals = nodal_normals(sides.slave, x)[: len(touching)][touching]
-        normal = comm.allreduce(normals.sum(axis=0), op=MPI.SUM)
+        normal = comm.allreduce(normals.sum(axis=0))
         way = way - (way @ normal) * normal / max(normal @ normal, TINY)
         if np.linalg.norm(way) >= system.facet_length:
             dents = [Dent(int(slave[0]), way), *(Dent(int(m), -way) for m in master)]
@@ -166,7 +162,7 @@ def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
         if region.law.state:
             owned = region.cells[region.cells < len(bodies.of_cells)]
             inelastic[bodies.groups[bodies.of_cells[owned]]] = 1.0
-    return np.asarray(maximum(solid.mesh.comm, *inelastic) == 0.0)
+    return maximum(solid.mesh.comm, *inelastic) == 0.0
 
 
 def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
@@ -179,7 +175,7 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
     comm, dim, moved = V.mesh.comm, V.mesh.topology.dim, np.zeros((n, d))
     X, values = V.tabulate_dof_coordinates()[:n, :d], u.x.array.reshape(-1, d)[:n]
     cells = np.arange(V.mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    (cell,) = maximum(comm, V.mesh.h(dim, cells).max(initial=0.0))
+    cell = largest(comm, V.mesh.h(dim, cells))
     for body in np.flatnonzero(bodies.groups == dent.group):
         on = bodies.label == body
         x, w = X[on], values[on]

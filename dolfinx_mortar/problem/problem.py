@@ -11,7 +11,6 @@ from dataclasses import replace
 from itertools import chain
 from typing import Any
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -22,11 +21,10 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import (
     any_rank,
     from_callbacks,
-    maximum,
-    raise_together,
+    largest,
     raised_together,
 )
-from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
+from dolfinx_mortar.audit.audit import Audit, create_audit
 from dolfinx_mortar.audit.mesh_audit import check_axis, check_mesh
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import with_values
@@ -35,16 +33,21 @@ from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.interfaces.tool import Outline
+from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
-from dolfinx_mortar.problem.checks import check_arguments
+from dolfinx_mortar.problem.checks import StepData, check_arguments, check_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
-from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
-from dolfinx_mortar.solid.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.solid.dirichlet import Dirichlet, check_targets, create_dirichlet
 from dolfinx_mortar.solid.solid import Solid, flows_at_start
+from dolfinx_mortar.solid.supports import (
+    Bodies,
+    Dirichlet,
+    check_targets,
+    create_dirichlet,
+    find_bodies,
+    with_ties,
+)
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
@@ -182,8 +185,7 @@ class ContactProblem:
         check_owned(self.interfaces, self.supports)
         data = self._read(level)
         before = self.owned_u.copy()
-        self.owned_u[:] += self._carried(data.asked, before)
-        self.u.x.scatter_forward()
+        self.move(before + self._carried(data.asked, before))
         data = replace(data, begun=self.owned_u.copy())
         if predict is not None:
             data = predict(self, data, level, before)
@@ -194,22 +196,16 @@ class ContactProblem:
             found, partners = self._pair(data.target)
             increment = max(data.increment, found.largest_slip(self.vector(self.owned_u)))
             data = replace(data, increment=increment, partners=partners)
-        self._enter(found)
-        self.raise_failed()
+        self.update_geometry(found)
         if audit:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
                 for warning in audited.warnings:
-                    if self.is_new(warning):
+                    if warning not in self.logged:
                         log.warning("%s", warning)
+                self.logged.update(audited.warnings)
         return data
-
-    def raise_failed(self) -> None:
-        """Raise errors of tools' shapes on all ranks; collective."""
-        tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
-        failed = [error for shape in tools if (error := shape.failed()) is not None]
-        raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
         limits = []
@@ -221,7 +217,7 @@ class ContactProblem:
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
             ("u", self.u.x.array, "start from a finite displacement"),
         ):
-            bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))), op=MPI.SUM)
+            bad = self.comm.allreduce(int(np.sum(~np.isfinite(array))))
             if bad:
                 raise ValueError(f"{name}: {bad} values are NaN or infinite; {remedy}")
         start = self.committed.level
@@ -231,11 +227,10 @@ class ContactProblem:
         check_targets(self.solid, target)
         check_jumps(self.system)
         asked = self.supports.increment(target, self.u.x.array)
-        largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
-        largest = max(largest, self.terms.stride())
+        increment = max(largest(self.comm, asked), self.terms.stride())
         last = self.ended_here() or self.committed
         contacts = last.active, last.sliding
-        return StepData(target, asked, largest, contacts, limits, flows=flows)
+        return StepData(target, asked, increment, contacts, limits, flows=flows)
 
     def _carried(self, asked: Floats, u: Floats) -> Floats:
         """Rigid motion (n,) of the bodies from u with prescribed increments (owned nodes, d)."""
@@ -243,7 +238,7 @@ class ContactProblem:
         motion = bodies.mean(asked, owned)[bodies.label] * bodies.shifts
         if self.solid.strain == "finite" and bodies.shifts.all():
             motion = motion + bodies.turned(asked, owned, self.X + u.reshape(self.X.shape))
-        return np.asarray(motion).ravel()
+        return motion.ravel()
 
     def _pair(self, target: Floats) -> tuple[Configuration, list[Partners | None]]:
         """Pair the surfaces at u; also slip partners at the last commit.
@@ -281,13 +276,12 @@ class ContactProblem:
         check_owned(self.interfaces, self.supports)
         self._check_mesh()
         asked = self.supports.increment(self.supports.values(), self.u.x.array)
-        increment = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
+        increment = largest(self.comm, asked)
         with self.system.put_back():
             with self.timings("mortar"):
                 found = self.system.at(self.configuration)
                 self.system.enter(found)
             audit = self._audit(increment)
-            self.raise_failed()
             return audit
 
     def _check_mesh(self) -> None:
@@ -299,28 +293,17 @@ class ContactProblem:
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
 
-    def is_new(self, warning: str) -> bool:
-        """Mark a warning as logged; whether it is new."""
-        new = warning not in self.logged
-        self.logged.add(warning)
-        return new
-
     def diagnose(self) -> list[str]:
         """Notes on the last step, or on its failure, with remedies."""
         return [
             ". ".join(filter(None, (note, getattr(note, "why", "")))) for note in chain(*self.told)
         ]
 
-    def held_by_contact(self) -> list[str]:
-        """Names of the bodies that only contact restrains at present; collective."""
-        springs = self.terms.resistance()
-        return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
-
-    def update_geometry(self) -> None:
+    def update_geometry(self, found: Configuration | None = None) -> None:
         """Pair the surfaces at X + u (X if frozen), and compute D, M, N and T; collective."""
         with self.timings("mortar"):
-            found = self.system.at(self.configuration)
-        self._enter(found)
+            if self.system.enter(found or self.system.at(self.configuration)):
+                self.linear.clear()
 
     def follow_geometry(self) -> None:
         """Update the geometry to X + u within a step; collective."""
@@ -328,10 +311,10 @@ class ContactProblem:
             if self.system.follow(self.configuration):
                 self.linear.clear()
 
-    def _enter(self, found: Configuration) -> None:
-        with self.timings("mortar"):
-            if self.system.enter(found):
-                self.linear.clear()
+    def move(self, u: Floats) -> None:
+        """Set the displacement (n,); collective."""
+        self.owned_u[:] = u
+        self.u.x.scatter_forward()
 
     def positions(self) -> PETSc.Vec:
         """Vector X + u."""
@@ -446,7 +429,7 @@ class ContactProblem:
             fields[name] = merge_results(self.system.sides, self.interfaces, name, merged)
         return fields
 
-    def output_tools(self) -> list[tuple[Outline, Floats]]:
+    def output_tools(self) -> list[tuple[Tool, Floats]]:
         """See `InterfaceSystem.tools_at`; collective."""
         return self.system.tools_at(self.u)
 

@@ -15,6 +15,7 @@ from dolfinx_mortar.algebra.parallel import from_callbacks
 from dolfinx_mortar.common.arrays import EPS, LIMIT, Floats
 from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
+    Friction,
     QPNotSolved,
     QPSolution,
     check,
@@ -34,10 +35,8 @@ from dolfinx_mortar.qp.held import (
     update,
 )
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
+from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
 
-# Friction limits by the pressure of this solution, or of the previous one
-EXACT, GIVEN = "exact linearisation", "given limits"
 FEW = (
     "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
     "refine the mesh there, take smaller steps, or prescribe displacements instead of loads"
@@ -46,12 +45,10 @@ FEW = (
 
 @dataclass(frozen=True)
 class _Found:
+    outcome: Outcome
     x: Floats  # (n,)
-    q: Floats  # (m,)
-    state: State
-    updates: int
-    how: str  # linearisation of friction
-    resistance: Floats | None  # (m, m) of q
+    q: Floats | None = None  # (m,)
+    resistance: Floats | None = None  # (m, m) of q
 
 
 @from_callbacks()
@@ -78,8 +75,8 @@ def solve(
     for _ in range(2):
         at = condensed.about(x)
         found = _find(at, condensed.dense, start, rtol)
-        linear.beyond = condensed.dense.negative(found.state.held(at))
-        start, x = found.state, condensed.expand(found.x)
+        start, x = found.outcome.state, condensed.expand(found.x)
+        linear.beyond = condensed.dense.negative(start.held(at))
         solution = _solution(qp, replace(found, x=x))
         if solution.kkt.satisfied(rtol):
             return solution
@@ -88,20 +85,20 @@ def solve(
 
 def _solution(qp: BoundQP, found: _Found) -> QPSolution:
     """Solution with its check, of the QP moved by its scalars; collective."""
-    at = qp if qp.scalars is None else moved(qp, found.q)
-    x = qp.b.duplicate()
+    at = qp if found.q is None else moved(qp, found.q)
+    x, outcome = qp.b.duplicate(), found.outcome
     x.array[:] = found.x
-    z, active, directions = reaction(at, x), found.state.active, None
+    z, active, directions = reaction(at, x), outcome.state.active, None
     if is_noise(at, x, z):
         active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
     if (law := qp.friction) is not None:
-        slips = found.state.slips(law)[:, None]
-        directions = np.where(slips, found.state.directions, 0.0)
+        slips = outcome.state.slips(law)[:, None]
+        directions = np.where(slips, outcome.state.directions, 0.0)
     return QPSolution(
-        *(x, z, active, check(at, x, z), found.updates, 0, 0, "active-set"),
+        *(x, z, active, check(at, x, z), outcome.updates, 0, 0, "active-set"),
         sliding=directions,
-        linearisation="" if law is None else found.how,
-        travel=None if qp.scalars is None else found.q,
+        linearisation="" if law is None else outcome.linearisation,
+        travel=found.q,
         resistance=found.resistance,
     )
 
@@ -121,15 +118,15 @@ def _find(
         x.array[: guess.local_size] = guess.array_r
     while True:
         problem = HeldProblem(*at, x, rtol, most)
-        outcome, how = _solve_law(problem, state)
-        state, ended = outcome.state, (outcome.state, outcome.updates, how)
+        outcome = _solve_law(problem, state)
+        state = outcome.state
         if border is None:
-            return _Found(x.array_r, np.zeros(0), *ended, None)
+            return _Found(outcome, x.array_r)
         values, q = border.at(x.array_r)
         left = np.abs(border.rho * (q - border.centre))
         # round-off of e.z, and what is missing
         if not border.rho.any() or (left <= 2.0 * border.least).all():
-            return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
+            return _Found(outcome, values, q, border.resistance() + np.diag(border.proximal()))
         left /= np.sqrt(border.weights)
         if not left.max() <= 0.5 * before:  # the load moves its tool until contact, or for ever
             border.share /= 16.0
@@ -139,25 +136,25 @@ def _find(
         border.hold(None)
 
 
-def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
+def _solve_law(problem: HeldProblem, start: State) -> Outcome:
     """Solve by consistent linearisation, else by given friction limits; else QPNotSolved."""
     outcome = _update(problem, start, TIGHT if problem.linear.exact else LOOSE)
     if not outcome.reason:
-        return outcome, EXACT
-    law, found, cause = problem.qp.friction, None, None
-    try:
-        found = None if law is None else _solve_given(problem, problem.best or start)
-    except LinearSolveFailed as error:
-        cause = error
-    if found is not None:
-        return found, GIVEN
-    kind = "" if law is None or not law.normal.size else " with friction"
-    raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}") from cause
+        return outcome
+    found, cause = None, None
+    if (law := problem.qp.friction) is not None:
+        try:
+            found = _solve_given(problem, law, problem.best or start)
+        except LinearSolveFailed as error:
+            cause = error
+    if found is None:
+        raise QPNotSolved(f"active set: {outcome.reason}. {FEW}") from cause
+    return replace(found, linearisation="given limits")
 
 
-def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
+def _solve_given(problem: HeldProblem, law: Friction, state: State) -> Outcome | None:
     """Iterate over the friction limits; None if they do not converge."""
-    qp, law = problem.qp, problem.qp.friction or no_friction()
+    qp = problem.qp
     problem.solve(state, TIGHT)
     for _ in range(LIMIT):
         pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
@@ -186,10 +183,9 @@ def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
             first = problem.best or start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
-            outcome, first = (
-                Outcome(first, 0, reason),
-                State.create(problem.qp, nearest(problem.qp)),
-            )
-            problem.forget()
+            outcome = Outcome(first, 0, reason)
+            first = State.create(problem.qp, nearest(problem.qp))
+            problem.x.set(0.0)
+            problem.z = problem.qp.b.copy()
         level = TIGHT
     return outcome

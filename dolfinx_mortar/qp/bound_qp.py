@@ -13,7 +13,7 @@ or z_t = q min(1, s / |q|) with q = z_t + c (x_t - rest), c > 0. Linearised with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 from mpi4py import MPI
@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, largest, maximum, norm, ratio
 from dolfinx_mortar.common.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, Ints
 
 
@@ -39,38 +39,38 @@ class Friction:
     @property
     def some(self) -> Bools:
         """Entries (m, t) of unknowns."""
-        return np.asarray(self.tangential >= 0)
+        return self.tangential >= 0
 
     def pick(self, values: Floats) -> Floats:
-        """Tangential components (m, t) of a vector."""
+        """Tangential components (.., m, t) of vectors (.., n)."""
         if values.size == 0:  # a rank without unknowns
             return np.zeros(self.tangential.shape)
-        return np.where(self.some, values[self.tangential], 0.0)
+        return np.where(self.some, values[..., self.tangential], 0.0)
 
     def means(self, diagonal: Floats) -> Floats:
         """Mean (m,) of a diagonal over each node's tangential unknowns."""
-        return np.asarray(self.pick(diagonal).sum(axis=1) / np.maximum(self.some.sum(axis=1), 1))
+        return self.pick(diagonal).sum(axis=1) / np.maximum(self.some.sum(axis=1), 1)
 
     def acts(self, closed: Bools) -> Bools:
         """Nodes (m,) that may have tangential reactions."""
-        return np.asarray(closed | (self.cohesion > 0.0))
+        return closed | (self.cohesion > 0.0)
 
     def limit(self, pressing: Floats) -> Floats:
         """Limit s (m,) for normal reactions (m,); negative ones count as 0."""
-        return np.asarray(self.coefficient * np.maximum(pressing, 0.0) + self.cohesion)
+        return self.coefficient * np.maximum(pressing, 0.0) + self.cohesion
 
     @property
     def across(self) -> Bools:
         """Nodes (m,) with two tangential unknowns."""
-        return np.asarray(self.some.sum(axis=1) > 1)
+        return self.some.sum(axis=1) > 1
 
     def select(self, mask: Bools) -> Friction:
         """Some of the nodes."""
-        return Friction(*(getattr(self, field.name)[mask] for field in fields(self)))
+        return Friction(*(part[mask] for part in vars(self).values()))
 
     def put(self, values: Floats, parts: Floats) -> None:
-        """Set the tangential components of a vector."""
-        values[self.tangential[self.some]] = parts[self.some]
+        """Set the tangential components of vectors."""
+        values[..., self.tangential[self.some]] = parts[..., self.some]
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ class Sliding:
         return self._resist(limit, self.law.pick(x) - self.law.rest)
 
     def add(self, x: Floats, y: Floats) -> None:
-        """Add to y = A x the derivative of the law's residual in the direction x."""
-        limit = -self.law.coefficient * y[self.normal]
+        """Add to y = A x (.., n) the derivative of the law's residual in the directions x."""
+        limit = -self.law.coefficient * y[..., self.normal]
         self.law.put(y, self.law.pick(y) + self._resist(limit, self.law.pick(x)))
 
     def _resist(self, limit: Floats, slip: Floats) -> Floats:
         d = self.direction
-        across = slip - d * (d * slip).sum(axis=1, keepdims=True)
-        return np.asarray(limit[:, None] * d + self.stiffness[:, None] * across)
+        across = slip - d * (d * slip).sum(axis=-1, keepdims=True)
+        return limit[..., None] * d + self.stiffness[:, None] * across
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Sliders:
     @property
     def trial(self) -> Floats:
         """Trial force q (m, t)."""
-        return np.asarray(self.reaction + self.stiffness[:, None] * self.slip)
+        return self.reaction + self.stiffness[:, None] * self.slip
 
     def directions(self, before: Floats | None = None) -> tuple[Floats, Floats]:
         """Directions d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
@@ -141,7 +141,7 @@ class Sliders:
         q = self.trial
         size = np.linalg.norm(q, axis=1)
         share = np.divide(self.limit, size, out=np.ones_like(size), where=size > self.limit)
-        return np.asarray(self.reaction - q * share[:, None])
+        return self.reaction - q * share[:, None]
 
 
 @dataclass(frozen=True)
@@ -221,13 +221,12 @@ class BoundQP:
             diagonal.abs()
             mean = diagonal.sum() / diagonal.getSize()
             diagonal.array[diagonal.array_r == 0.0] = mean
-        return np.asarray(diagonal.array_r)
+        return diagonal.array_r
 
     @cached_property
     def noise(self) -> float:
         """Norm of the forces due to round-off of bounds; collective at first."""
-        largest = self.extent * self.stiffness[self.bounded]
-        return ROUND_OFF * norm(self.comm, largest)
+        return ROUND_OFF * norm(self.comm, self.extent * self.stiffness[self.bounded])
 
 
 @dataclass(frozen=True)
@@ -259,28 +258,24 @@ class Bounded:
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
         strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
-        return np.asarray(np.where(active != new, strength, 0.0))
+        return np.where(active != new, strength, 0.0)
 
 
 @dataclass(frozen=True)
 class KKT:
-    """Residuals of the optimality conditions, relative to |b| + |z on bounded unknowns| or max |x|.
-
-    The floors are round-off.
-    """
+    """Residuals of the optimality conditions, relative to |b| + |bounded z| or max |x|."""
 
     stationarity: float  # |z| over free unknowns
     feasibility: float  # largest violation of a bound
     sign: float  # largest reaction of the wrong sign
     complementarity: float  # largest min(|reaction|, distance to its bound)
-    force_floor: float
-    length_floor: float
+    force_floor: float  # round-off
     unsolved: float = 0.0  # |z| over free unknowns, a force
     friction: float = 0.0  # error in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
         """Whether every residual is below rtol or its round-off."""
-        force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
+        force, length = max(rtol, self.force_floor), max(rtol, ROUND_OFF)
         return bool(
             max(self.stationarity, self.sign) <= force
             and self.friction <= max(rtol, 2.0 * self.force_floor)
@@ -291,9 +286,9 @@ class KKT:
     @property
     def worst(self) -> float:
         """Largest of the residuals (inf if one is NaN)."""
-        finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
         residuals = self.stationarity, self.feasibility, self.sign, self.complementarity
-        return max(*residuals, self.friction) if finite else float("inf")
+        worst = float(np.max([*residuals, self.friction]))
+        return float("inf") if np.isnan(worst) else worst
 
 
 @dataclass(frozen=True)
@@ -403,7 +398,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     """
     z = reaction(qp, x) if z is None else z
     if is_noise(qp, x, z):
-        return KKT(*np.zeros(6))
+        return KKT(*np.zeros(5))
     bounded = on_bounded(qp, x, z)
     xb, zb, lower, upper = bounded.x, bounded.z, bounded.lower, bounded.upper
     active = bounded.predicted()
@@ -420,11 +415,10 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     # the sign of a reaction tells its bound; infinite ones are in stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
-    bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
-    largest = [np.abs(x.array_r), bound, np.maximum(over, under), pull]
+    sizes = np.abs(x.array_r), np.maximum(over, under), pull
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
-    tops = [a.max(initial=0.0) for a in largest] + [-nearest]
-    x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
+    tops = [a.max(initial=0.0) for a in sizes] + [-nearest]
+    x_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
     # without forces, x is round-off of the nearest bounds
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
@@ -433,19 +427,17 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     parts = (qp.b.array_r, zb, z.array_r[free], round_off, wrong, zt)
     squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
-    force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
+    force, length = b2 + np.hypot(zb2, zt2), max(x_top, gap_top)
     off2 = off2 + qp.taken
     # a product would mix distant bounds with round-off in z
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, TINY))
-    both_top = maximum(qp.comm, both.max(initial=0.0))[0]
     return KKT(
         stationarity=ratio(free2, force),
         feasibility=ratio(gap_top, length),
         sign=ratio(pull_top, force),
-        complementarity=float(both_top),
+        complementarity=largest(qp.comm, both),
         force_floor=ROUND_OFF * ratio(off2, force) if force > 0.0 else 0.0,
-        length_floor=ROUND_OFF,
         unsolved=float(free2),
         friction=ratio(wrong2, force),
     )

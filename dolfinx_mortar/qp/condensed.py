@@ -75,7 +75,10 @@ class Dense:
         rest[held] = 0.0
         first = float(norm(rest))
         if first > self.round_off(x):
-            M, free = self._free(self.S if sliding is None else _slipping(self.S, sliding), held)
+            M = self.S.copy()
+            if sliding is not None:
+                sliding.add(np.eye(len(M)), M.T)
+            M, free = self._free(M, held)
             lu, pivots, failed = scipy.linalg.lapack.dgetrf(M, overwrite_a=True)
             if failed or not np.abs(np.diag(lu)).min(initial=1.0) > 64 * len(M) * EPS:
                 raise LinearSolveFailed("nothing holds a body: a state leaves the matrix singular")
@@ -102,20 +105,6 @@ class Dense:
         return int((np.linalg.eigvalsh(M) < -ROUND_OFF * len(M)).sum())
 
 
-def _slipping(S: Floats, sliding: Sliding) -> Floats:
-    M, law, d = S.copy(), sliding.law, sliding.direction
-    normal = S[sliding.normal]
-    for a in range(d.shape[1]):
-        some = law.some[:, a]
-        rows = law.tangential[some, a]
-        M[rows] -= (law.coefficient * d[:, a])[some, None] * normal[some]
-        for c in range(d.shape[1]):
-            both = some & law.some[:, c]
-            part = sliding.stiffness * ((a == c) - d[:, a] * d[:, c])
-            M[law.tangential[both, a], law.tangential[both, c]] += part[both]
-    return M
-
-
 class Condensed:
     """A QP on one rank, condensed by MUMPS to its unknowns with bounds or friction.
 
@@ -124,18 +113,19 @@ class Condensed:
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, atol: float) -> None:
-        schur, product = linear.schur, whole.product
+        schur = linear.schur
         assert schur is not None
+        product = schur.product
         self._whole, self._linear, self._G = whole, linear, schur.unknowns
         self._atol = atol
         linear.factorise(self._G)
-        S, out = schur.S, whole.held[:0]
-        self._x: Floats = np.zeros(whole.b.getLocalSize())
-        if product is not None:
+        S, out = schur.S, product.decoupled
+        if product.C is not None:
             C = owned_rows(product.C)[self._G][:, self._G]
             half = S + C.T @ S
-            S, out = half + half @ C, product.decoupled
-            self._x[out] = whole.b.array_r[out] / product.scale
+            S = half + half @ C
+        self._x: Floats = np.zeros(whole.b.getLocalSize())
+        self._x[out] = whole.b.array_r[out] / product.scale
         on = np.isin(self._G, whole.held)
         rest = ~on & ~np.isin(self._G, out)
         self._on, self._rest = np.flatnonzero(on), np.flatnonzero(rest)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Any, Protocol
 
 from mpi4py import MPI
@@ -70,17 +69,16 @@ class State:
 
     def tobytes(self) -> bytes:
         """The same for equal states."""
-        parts = self.active, self.directions, self.stiffness
-        return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+        return b"".join(part.tobytes() for part in vars(self).values())
 
     def slips(self, law: Friction) -> Bools:
         """Nodes (m,) that slip with friction."""
-        return np.asarray(law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1))
+        return law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1)
 
     def sticks(self, law: Friction) -> Bools:
         """Tangential unknowns (m, t) that are fixed."""
         acts = law.acts(self.active[law.normal] > 0)
-        return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
+        return (acts & ~self.directions.any(axis=1))[:, None] & law.some
 
     def held(self, qp: BoundQP) -> Ints:
         """Fixed unknowns, ascending."""
@@ -111,7 +109,8 @@ class Outcome:
 
     state: Any  # last set of a solve
     updates: int
-    reason: str  # why updates have not converged, or ""
+    reason: str = ""  # why updates have not converged
+    linearisation: str = "exact linearisation"  # of friction
 
 
 def update(
@@ -128,13 +127,11 @@ def update(
         held = state
         found = hold(held, level)
         if found.changes == 0 and found.satisfied:
-            return Outcome(held, updates, "")
+            return Outcome(held, updates)
         if found.changes == 0:
             level += 1
         else:
-            key, salt = found.predicted.tobytes(), str(comm.rank).encode()
-            part = int.from_bytes(blake2b(key, digest_size=7, salt=salt).digest())
-            everywhere = comm.allreduce(part, op=MPI.SUM)
+            everywhere = comm.allreduce(hash((comm.rank, found.predicted.tobytes())))
             if everywhere in seen:
                 if level >= TIGHT:
                     return Outcome(held, updates, "the active set came back to an earlier one")
@@ -186,11 +183,6 @@ class HeldProblem:
         self.best: State | None = None  # with the least error, a force
         self.error = np.inf
         self.level = LOOSE  # of the last solve
-
-    def forget(self) -> None:
-        """Start again from x = 0, after a failed solve."""
-        self.x.set(0.0)
-        self.z = self.qp.b.copy()
 
     def hold(self, state: State, level: int, worst: bool = False) -> Found:
         """Solve in a state, updating only the largest errors if `worst`; set x and z (collective).

@@ -14,7 +14,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.common.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import (
+    EPS,
+    LIMIT,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    UNDERFLOW,
+    Ints,
+)
 from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,
@@ -109,16 +116,13 @@ class LinearSolver:
         """Whether the preconditioner is a factorisation."""
         return self.options.direct
 
-    def factorising(self) -> LinearSolver | None:
-        """A solver that factorises instead, after freeing this one's matrices; collective.
-
-        None if the solver is direct or chosen, or the matrix too large.
-        """
+    def give_up_multigrid(self) -> bool:
+        """Factorise from now on, unless the user chose, or the matrix is too large; collective."""
         if self.direct or self.options.chosen or not 0 < self._order <= MOST_FACTORISED:
-            return None
+            return False
+        self.options.multigrid = False
         self.clear()
-        prefix, given = self.options.prefix, self.options.given
-        return LinearSolver(self._comm, prefix=prefix, options=given)
+        return True
 
     @property
     def remedy(self) -> str:
@@ -170,7 +174,9 @@ class LinearSolver:
         ksp.setConvergenceHistory(reset=True)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            schur = None if apart is None else SchurComplement(apart, product)
+            schur = None
+            if apart is not None:
+                schur = SchurComplement(apart, product or CongruentOperator(A))
             operator = Operator(A, copied=self.direct and schur is None, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
         if ksp.getType() == "gmres":
@@ -179,7 +185,7 @@ class LinearSolver:
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix, operator.factorised)
         renewal = Renewal(RENEWAL_COST["direct" if self.direct else "iterative"], self.direct)
-        sliding = self._iteration(operator, ksp.getPC())
+        sliding = self._gmres(ksp.getPC())
         limit = ksp.getTolerances()[3]
         self._setups[definite] = MatrixSetup(operator, ksp, sliding, preconditioner, renewal, limit)
         self._describe()
@@ -194,18 +200,18 @@ class LinearSolver:
                 return
         self._drop(False)
         operator = Operator(A, copied=False, definite=False)
-        ksp = self._iteration(operator, base.ksp.getPC())
+        ksp = self._gmres(PETSc.PC().createPython(base.preconditioner.multigrid, comm=self._comm))
+        ksp.setOperators(operator.matrix)
         renewal = Renewal(base.renewal.after, direct=False)
         parts = operator, ksp, ksp, base.preconditioner, renewal, base.max_iterations
         self._setups[False] = MatrixSetup(*parts)
 
-    def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
+    def _gmres(self, pc: PETSc.PC) -> PETSc.KSP:
         ksp = PETSc.KSP().create(self._comm)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
-        ksp.setPC(PETSc.PC().createPython(Applied(pc), comm=self._comm))
+        ksp.setPC(pc)
         ksp.setConvergenceHistory(reset=True)
-        ksp.setOperators(operator.matrix)
         return ksp
 
     def _describe(self) -> None:
@@ -336,7 +342,6 @@ class LinearSolver:
         operator.sliding = sliding
         operator.hold(held)
         before = self.counts.iterations
-        self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
         if not norm <= max(atol, operator.round_off(x)):
             norm = self._iterate(b, x, held, atol, norm)
@@ -358,7 +363,11 @@ class LinearSolver:
                 limit = min(limit, 2 * renewal.after)
             reduction = max(EPS, max(atol, floor) / norm)
             ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
-            self._sweep(dx, stale=not fresh)
+            begin = perf_counter()
+            ksp.solve(operator.r, dx)
+            self.counts.iterations += max(1, ksp.getIterationNumber())
+            renewal.learn(ksp.getConvergenceHistory(), stale=not fresh)
+            self.counts.seconds_solve += perf_counter() - begin
             dx.array[held] = 0.0  # an old factorisation may change them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
@@ -370,13 +379,6 @@ class LinearSolver:
             if not fresh:
                 self.factorise(held)  # an old set-up may be indefinite
         return float(norm)
-
-    def _sweep(self, dx: PETSc.Vec, *, stale: bool) -> None:
-        begin, ksp = perf_counter(), self._ksp
-        ksp.solve(self._operator.r, dx)
-        self.counts.iterations += max(1, ksp.getIterationNumber())
-        self.setup.renewal.learn(ksp.getConvergenceHistory(), stale=stale)
-        self.counts.seconds_solve += perf_counter() - begin
 
     @property
     def _ksp(self) -> PETSc.KSP:
@@ -398,7 +400,7 @@ class LinearSolver:
             if round_off > QUARTER_OF_DIGITS * force:  # with reactions of fixed unknowns, too
                 self._operator.residual(b, x, np.empty(0, dtype=np.int32))
                 force = max(force, self._operator.z.norm())
-            if round_off <= QUARTER_OF_DIGITS * force or force == 0.0:
+            if round_off <= max(QUARTER_OF_DIGITS * force, UNDERFLOW):
                 return
             cause = f"its round-off {round_off:.1e} is near the forces {force:.1e}"
         else:
@@ -411,14 +413,3 @@ class LinearSolver:
             "holds a body, or plastic flow or buckling has reduced the stiffness to zero; smaller "
             f"steps help then.{self.remedy}"
         )
-
-
-class Applied:
-    """PETSc PC of type python that applies another PC."""
-
-    def __init__(self, pc: PETSc.PC) -> None:
-        self.pc = pc
-
-    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Set z = M^-1 r."""
-        self.pc.apply(r, z)

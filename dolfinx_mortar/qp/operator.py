@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf, decouple
-from dolfinx_mortar.common.arrays import ROUND_OFF, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, UNDERFLOW, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
 # Part of |b| / sqrt(n): 1e-4 to 0.1 found all negative eigenvalues.
@@ -72,11 +72,6 @@ class Operator:
             self.sliding.add(x.array_r, y.array)
         y.array[self.held] = 0.0
 
-    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = A^T x, without slipping nodes."""
-        self.A.multTranspose(x, y)
-        y.array[self.held] = 0.0
-
     def residual(
         self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, z: PETSc.Vec | None = None
     ) -> PETSc.Vec:
@@ -97,7 +92,7 @@ class Operator:
         """Round-off of A x."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
-        return float(ROUND_OFF * scaled.norm())
+        return max(ROUND_OFF * scaled.norm(), UNDERFLOW)
 
     def clear(self) -> None:
         """Free the matrices."""
@@ -133,7 +128,7 @@ def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> b
     x, b = operator.A.createVecs()
     b.array[:] = np.random.default_rng(comm.rank).standard_normal(b.local_size)
     b.array[operator.held] = 0.0
-    free = comm.allreduce(b.local_size - len(operator.held), op=MPI.SUM)
+    free = comm.allreduce(b.local_size - len(operator.held))
     ksp = PETSc.KSP().create(operator.A.comm)
     try:
         ksp.setType(PETSc.KSP.Type.CG)

@@ -12,7 +12,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import call
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import raised_together
+from dolfinx_mortar.common.arguments import Rule, check, check_optional, instance
 
 DEFAULTS = {
     "ksp_type": "cg",
@@ -53,24 +54,18 @@ class SolverOptions:
         self.given = dict(options or {})
         self.grown: dict[str, Any] = {}
         self.definite = True
-        self._multigrid = multigrid
+        self.multigrid = multigrid
         ours = DEFAULTS | MULTIGRID
         self._unread = {k for k, v in self.given.items() if k not in ours or v != ours[k]}
 
     def __getitem__(self, key: str) -> str:
         return str(PETSc.Options(self.prefix).getString(key, str(self.values[key])))
 
-    def of_definite(self, key: str) -> str:
-        """Value that applies to definite matrices."""
-        before, self.definite = self.definite, True
-        found, self.definite = self[key], before
-        return found
-
     @property
     def values(self) -> dict[str, Any]:
         """The options over the defaults."""
         methods = DEFAULTS if self.definite else DEFAULTS | GENERAL
-        values = methods | (MULTIGRID if self._multigrid else {}) | self.given | self.grown
+        values = methods | (MULTIGRID if self.multigrid else {}) | self.given | self.grown
         if not self.definite and values["pc_type"] == DEFAULTS["pc_type"]:
             values["pc_type"] = GENERAL["pc_type"]  # Cholesky reads one half of a matrix
         return values
@@ -116,35 +111,30 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
         ValueError: on all ranks, for options (without prefix) that are no mapping to numbers and
             strings, or that PETSc refuses.
     """
-    if not isinstance(comm, MPI.Comm):
-        raise ValueError(f"comm is {comm!r}: give an MPI communicator, such as MPI.COMM_WORLD")
-    if any_rank(comm, not isinstance(prefix, str))[0]:
-        raise ValueError(f"petsc_options_prefix is {prefix!r}: give a text, such as 'contact_'")
-    wrong = _wrong_type(options)
-    if not wrong:
+    check("comm", comm, instance(MPI.Comm, "give an MPI communicator, such as MPI.COMM_WORLD"))
+    with raised_together(comm):
+        check("petsc_options_prefix", prefix, instance(str, "give a text, such as 'contact_'"))
+        check_optional("petsc_options", options, NAMED)
         try:
             _try_out(SolverOptions(prefix, options))
         except PETSc.Error as error:
             given = SolverOptions(prefix, options).values
-            wrong = f"PETSc refuses {given}: {str(error).strip().splitlines()[-1]}"
-    if any_rank(comm, bool(wrong))[0]:
-        raise ValueError(
-            f"petsc_options: {wrong or 'they are wrong on another rank'}. Choose methods that this "
-            "PETSc has; keys are those of PETSc without the prefix, values numbers or strings"
-        )
+            why = str(error).strip().splitlines()[-1]
+            raise ValueError(
+                f"petsc_options: PETSc refuses {given}: {why}. Choose methods that this PETSc has"
+            ) from error
 
 
-def _wrong_type(options: Mapping[str, Any] | None) -> str:
-    if options is None:
-        return ""
+def _named(options: Any) -> Any:
     if not isinstance(options, Mapping):
-        return f"{options!r} is {type(options).__name__}, not a dictionary"
-    for key, value in options.items():
-        if not isinstance(key, str) or not key.strip() or key.startswith("-"):
-            return f"the key {key!r} is no name of an option (no dash, no prefix)"
-        if not isinstance(value, VALUES):
-            return f"the value {value!r} of {key!r} is no number or string"
-    return ""
+        return None
+    keys = all(isinstance(k, str) and k.strip() and k[0] != "-" for k in options)
+    return options if keys and all(isinstance(v, VALUES) for v in options.values()) else None
+
+
+NAMED: Rule[Any] = Rule(
+    "give a dictionary of PETSc's names, with no dash and no prefix, and numbers or texts", _named
+)
 
 
 def _try_out(options: SolverOptions) -> None:

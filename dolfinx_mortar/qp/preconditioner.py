@@ -38,7 +38,6 @@ class LinearCounts:
     symbolic: int = 0  # analyses of a pattern
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
-    solves: int = 0
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
@@ -221,7 +220,8 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
-    used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
+    options.definite = True
+    used = options["pc_type"], options["pc_factor_mat_solver_type"]
     if used != ("cholesky", "mumps") or not has("MatFactorSetSchurIS") or A.getType() != "seqaij":
         return None
     few = 0 < unknowns.size**2 <= 2 * A.getInfo()["nz_used"] and unknowns.size < A.getSize()[0]
@@ -235,23 +235,20 @@ class SchurComplement:
     and T^T S T all geometries. Solves fix G.
     """
 
-    def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
+    def __init__(self, unknowns: Ints, product: CongruentOperator) -> None:
         self.unknowns, self.product, self.prepared = unknowns, product, False
         self.S: Floats = np.zeros((0, 0))
         self._decoupled: Ints = np.empty(0, dtype=np.int32)  # of the copied K
         self._K: PETSc.Mat | None = None
 
-    def state(self, A: PETSc.Mat) -> int:
+    @property
+    def state(self) -> int:
         """Changes with the values of the factorised matrix."""
-        if self.product is None:
-            return int(A.stateGet())
         same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
         return int(self.product.K.stateGet()) if same else -1
 
-    def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
+    def matrix(self) -> PETSc.Mat:
         """Matrix to be factorised."""
-        if self.product is None:
-            return A
         if self._K is None:
             self._K = self.product.K.duplicate(copy=True)
             self._K.setOption(PETSc.Mat.Option.SPD, True)
@@ -263,7 +260,6 @@ class SchurComplement:
         return self._K
 
     def _elsewhere(self) -> Ints:
-        assert self.product is not None
         return np.setdiff1d(self.product.decoupled, self.unknowns)
 
     def prepare(self, pc: PETSc.PC) -> None:
@@ -315,8 +311,6 @@ class Preconditioner:
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
-        if schur is not None and schur.product is None:
-            operator.A.setOption(PETSc.Mat.Option.SPD, True)
         if not options.direct:
             self.multigrid = Multigrid(operator.A, options.prefix)
             self.pc = self.multigrid.inner
@@ -340,7 +334,7 @@ class Preconditioner:
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
     def _present(self) -> int:
-        return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
+        return self.operator.state if self.schur is None else self.schur.state
 
     def differences(self, held: Ints) -> int | None:
         """Number of differing fixed unknowns, or None (collective)."""
@@ -397,9 +391,7 @@ class Preconditioner:
     def _factorise(self, counts: LinearCounts) -> None:
         """Factorise, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
-        factorised = self.operator.factorised
-        if self.schur is not None:
-            factorised = self.schur.matrix(factorised)
+        factorised = self.operator.factorised if self.schur is None else self.schur.matrix()
         self.ksp.setOperators(self.operator.matrix, factorised)
         while True:
             with self.options.database(self.options.prefix):

@@ -25,7 +25,7 @@ from dolfinx_mortar.common.arrays import (
     Floats,
     Ints,
 )
-from dolfinx_mortar.qp.bound_qp import BoundQP, Friction, Scalars, Sliding
+from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars, Sliding
 from dolfinx_mortar.qp.held import Solver
 
 
@@ -84,9 +84,8 @@ class Bordered:
         if not self.weights.all():
             raise NoResistance((self.weights == 0.0).astype(np.float64))
         self._X = np.zeros_like(self.scalars.motions)
-        self._state, self._stiffness = b"", np.zeros_like(self.scalars.block)
+        self._stiffness: Floats | None = None  # of the last state
         self._last: tuple[Ints, Sliding | None] = np.zeros(0, np.int32), None
-        law = inner.friction or no_friction()
         size = inner.b.getLocalSize() + self.last
         A = PETSc.Mat().createPython([(size, None)] * 2, ContextOf(self), inner.b.comm)
         b, lower, upper = A.createVecRight(), A.createVecRight(), A.createVecRight()
@@ -94,7 +93,7 @@ class Bordered:
         b.array[:] = self.join(inner.b.array_r, self._loads())
         lower.array[:] = self.join(inner.lower.array_r, -none)
         upper.array[:] = self.join(inner.upper.array_r, none)
-        bounds = lower, upper, inner.bounded, law
+        bounds = lower, upper, inner.bounded, inner.friction
         self.qp = BoundQP(A, b, *bounds, definite=inner.definite, extent=inner.extent)
 
     @property
@@ -124,7 +123,7 @@ class Bordered:
         return values[:n] + q @ self.scalars.motions, q
 
     def _sum(self, values: Floats) -> Floats:
-        return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
+        return self.comm.allreduce(values)
 
     def _loads(self) -> Floats:
         own = self.scalars.motions @ self.inner.b.array_r
@@ -170,7 +169,7 @@ class Bordered:
         at, q = self.at(x.array_r)
         y, right, E = self.inner.b.duplicate(), self.inner.b.duplicate(), self.scalars.motions
         y.array[:] = at
-        before, missing, self._last = np.inf, 0.0 * q, (held, sliding)
+        before, missing, self._last, self._stiffness = np.inf, 0.0 * q, (held, sliding), None
         for _ in range(LIMIT):
             y.array[held] = x.array_r[held] + (q @ E)[held]
             right.array[:] = self.inner.b.array_r - q @ self.scalars.columns
@@ -200,16 +199,10 @@ class Bordered:
 
     def resistance(self) -> Floats:
         """Stiffness of the last state against q (m, m), -d(F - R x - Q q + e.z)/dq; collective."""
-        held, sliding = self._last
-        state = b"state" + held.tobytes()  # never empty
-        if sliding is not None:
-            law = sliding.normal, sliding.direction, sliding.stiffness
-            state += b"".join(part.tobytes() for part in law)
-        if not self.comm.allreduce(state == self._state, op=MPI.LAND):
-            self._state = state
+        if self._stiffness is None:
             Z, E, R = np.zeros_like(self._X), self.scalars.motions, self.scalars.rows
             for a in range(len(Z)):
-                self._X[a], Z[a] = self._column(a, held, sliding)
+                self._X[a], Z[a] = self._column(a, *self._last)
             self._stiffness = self._sum(R @ self._X.T - E @ Z.T) + self.scalars.block
         return self._stiffness
 
@@ -222,13 +215,7 @@ class Bordered:
         z = right.copy()
         self.inner.A.mult(y, z)
         z.aypx(-1.0, right)
-        size = z.norm()
-        if size > 0.0 or law is not None:
-            values = y.array_r[held].copy()
-            y.array[:] = self._X[a]  # initial guess, of another state
-            y.array[held] = values
-            atol = HALF_OF_DIGITS * max(size, np.sqrt(TINY))
-            z = self.linear.solve(right, y, held, atol=atol, sliding=law)
+        z = self.linear.solve(right, y, held, atol=HALF_OF_DIGITS * z.norm(), sliding=law)
         return y.array_r.copy(), z.array_r.copy()
 
     def _step(self, q: Floats, missing: Floats) -> Floats:
@@ -236,7 +223,7 @@ class Bordered:
             self.hold(q)
         scale = 1.0 / np.sqrt(self.weights)
         relative = (self.resistance() + np.diag(self.rho)) * np.outer(scale, scale)
-        return np.asarray(scale * np.linalg.solve(relative, scale * missing))
+        return scale * np.linalg.solve(relative, scale * missing)
 
     def proximal(self) -> Floats:
         """Coefficients rho (m,) of the last state, zero where it resists; collective."""
@@ -252,12 +239,6 @@ class Bordered:
         self.rho = 0.0 * self.rho if q is None else self.proximal()
         self.centre = 0.0 * self.rho if q is None else q.copy()
         self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
-
-
-def no_friction() -> Friction:
-    """Friction at no node."""
-    none, flat = np.zeros((0, 1)), np.zeros(0)
-    return Friction(flat.astype(np.int32), none.astype(np.int32), none, flat, flat)
 
 
 def _shifted(sliding: Sliding, way: Floats, given: float) -> Sliding:

@@ -86,7 +86,7 @@ def solve(
     lower, upper = qp.bounds
     possible = np.isfinite(np.where(start > 0, upper, lower))
     start = np.where(possible, start, 0).astype(np.int8)
-    before = replace(linear.counts)
+    iterations, factorisations = linear.counts.iterations, linear.counts.factorisations
     try:
         first = State.create(qp, start, start_sliding, start_kappa)
         run = partial(_run, qp, backend, linear, first, rtol, guess)
@@ -100,12 +100,11 @@ def solve(
     except FAILURES as error:
         if not isinstance(error, LinearSolveFailed):
             linear.abandon()
-        raise QPNotSolved(f"The backend {backend!r} stopped{_cause(error, linear)}") from error
-    now = linear.counts
+        raise QPNotSolved(f"The backend {backend!r} stopped: {_cause(error, linear)}") from error
     solution = replace(
         solution,
-        linear_iterations=solution.linear_iterations + now.iterations - before.iterations,
-        factorisations=solution.factorisations + now.factorisations - before.factorisations,
+        linear_iterations=linear.counts.iterations - iterations,
+        factorisations=solution.factorisations + linear.counts.factorisations - factorisations,
     )
     if not solution.kkt.satisfied(rtol):
         raise QPNotSolved(
@@ -141,14 +140,12 @@ def _run(
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:
-    if isinstance(error, PETSc.Error):
-        return (
-            f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
-        )
     if isinstance(error, LinearSolveFailed):
-        return f": {error}"
-    name = type(error).__name__
-    return f": {name}, {error}. Check the material constants, and that every body is held"
+        return str(error)
+    return (
+        f"{type(error).__name__}, {error}. Check the options of the linear solver, "
+        f"{linear.options.values}, the material constants, and that every body is held"
+    )
 
 
 def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:

@@ -14,8 +14,9 @@ from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.common.step_report import Note
-from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
+    LINE2,
+    TRI3,
     Facets,
     are_inside,
     area_vectors,
@@ -45,9 +46,8 @@ from dolfinx_mortar.problem.problem import ContactProblem
 SUNK = 0.05
 """Share of the size of a facet up to which sides may lie in each other without a note.
 
-In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is
-.04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
-pressed.
+In 280 steps of the tests it is .04 at most, apart from the sagittas of facets; a corner between
+nodes penetrates as far as it is pressed.
 """
 MEAN = (
     "Gaps are means over facets of the slave, of those at X with geometry='reference': let the "
@@ -141,17 +141,17 @@ def _point(x: Iterable[float]) -> str:
 def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
-    facing = find_facing(side, pose, tool.asked, x)
+    facing = find_facing(side, tool, x)
     segments, points = whole_facets(side, x, facing)
     nodes = x[side.slave.facets]
     sizes, places = facet_sizes(nodes), np.concatenate([points, nodes.mean(axis=1)[facing]])
     facets = facets_at(side.slave, x)
     corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
-    point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
+    point = np.broadcast_to(pose.to_space(tool.shape.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
     below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-    depth = np.concatenate([-pose.distance(tool.asked, places).value, below[met]])
+    depth = np.concatenate([-tool.distance(places).value, below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
     off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
     places = np.concatenate([places, point[met]])
@@ -182,8 +182,7 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
-    facets count as flat.
+    Minus jumps of ties, and sagittas of both sides.
     """
     links, comm = problem.system.links, problem.comm
     itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)

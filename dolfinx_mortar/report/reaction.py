@@ -26,7 +26,7 @@ from dolfinx_mortar.persistence.committed import SupportForces
 from dolfinx_mortar.problem.checks import check_conditions, check_problem
 from dolfinx_mortar.problem.linearisation import Balance, support_slots
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.dirichlet import marked_dofs, prescribed_dofs
+from dolfinx_mortar.solid.supports import marked_dofs, prescribed_dofs
 
 
 @dataclass(frozen=True)
@@ -57,23 +57,21 @@ def reaction(
         dm.reaction(problem, base).force
 
     R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, r = F(u) - f - c:
-    internal forces minus loads minus forces of contacts and ties. R acts on the bodies: in half a
-    model half the force, in the plane per thickness, of rings that of the whole ring. x is X + u
-    with a contact in updated geometry or at finite strain, otherwise X.
+    internal forces minus loads minus forces of contacts and ties. R acts on the bodies, in the
+    plane per thickness, of rings on the whole ring. x is X + u with a contact in updated geometry
+    or at finite strain, otherwise X.
 
     Args:
         problem: after a step.
         support: a Dirichlet condition or a list of them; a tag or name for all prescribed
-            components at its nodes, edges included; an array of this rank's local dofs, d * node +
-            component, as from ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)``
-            (not on V, which returns nodes); None for all supports.
+            components at its nodes; an array of this rank's local dofs, d * node + component, as
+            from ``bc.dof_indices()[0]``; None for all supports.
         facet_tags: of the tag, also of cells, edges or vertices; by default those of all interfaces
             if they are the same.
-        about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
+        about: point of the moment, default the origin; not for rings, whose moment is 0.
 
     Raises:
-        ValueError: on all ranks, for invalid arguments, before the first step, and if a later
-            problem uses one of the interfaces.
+        ValueError: on all ranks, for invalid arguments, and before the first step.
     """
     check_problem(problem, ContactProblem)
     check_owned(problem.interfaces, problem.supports)

@@ -27,14 +27,10 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and this
         rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger" of
         `time_steps`, else None; "forces" on the slave side of each interface; "reactions", "force"
-        and "moment" about the origin of each of ``problem.bcs``. A step made by hand lacks the last
-        two.
-
-    Raises:
-        ValueError: for other objects.
+        and "moment" about the origin of each of ``problem.bcs``.
     """
     check("step", step, instance(LoadStep, "give a LoadStep, such as load_steps yields"))
-    parts = step.parts
+    parts, last = step.parts, step.report.as_dict()
     iterations = [iteration for part in parts for iteration in part.iterations]
     work = sorted({name for part in parts for name in part.seconds})
     return {
@@ -47,9 +43,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         "residual_history": [r for part in parts for r in part.residual_history],
         "notes": [note for part in parts for note in part.notes],
         "seconds": {name: sum(part.seconds.get(name, 0.0) for part in parts) for name in work},
-        "linear_solver": step.report.linear_solver,
-        "certificate": step.report.as_dict()["certificate"],
-        "ledger": step.report.as_dict()["ledger"],
+        **{name: last[name] for name in ("linear_solver", "certificate", "ledger")},
         "forces": step.forces,
         "reactions": step.reactions,
     }
@@ -71,9 +65,7 @@ def write_summary(
         steps: rows such as those of ``summarise``.
         more: further entries.
 
-    Raises:
-        ValueError: on all ranks, for invalid arguments.
-        OSError: on all ranks, if the file cannot be written.
+    Errors are raised on all ranks.
     """
     check_problem(problem, ContactProblem)
     path = check_path(problem.comm, path)

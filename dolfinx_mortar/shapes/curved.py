@@ -14,6 +14,11 @@ Both lie in the convex hull of their corners, p + (c + a) / 2 and q - (c + b) / 
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from inspect import signature
+from typing import Any
+
 import numba
 import numpy as np
 
@@ -33,76 +38,67 @@ class Curved(Shape):
         self._corners, self._bends = _in_space(corners), _in_space(bends)
         self._normals = [_in_space(one) for one in normals]
         self._tree = create_tree(self._corners, self._bends)
+        self._digest = hashlib.sha256(self._corners.tobytes()).hexdigest()
+
+    def given(self) -> Mapping[str, Any]:
+        """See `Shape`; with a digest of the first argument."""
+        first, *names = signature(type(self)).parameters
+        return {first: self._digest, **{name: getattr(self, name) for name in names}}
 
     def distance(self, x: Floats) -> Distance:
-        """Distances of points x (n, d)."""
+        """Distances of points x (n, d).
+
+        With the tangents J and the fundamental forms G and B of the surface, or the edge, at the
+        nearest point, and F = G - phi B, the Hessian is -J G^-1 B F^-1 J^T, plus (I - n n^T - J
+        G^-1 J^T) / phi at edges and corners.
+        """
         n, d = x.shape
         x = _in_space(x)
         near, where, at = find_nearest(x, self._corners, self._bends, *self._tree)
+        k = np.maximum(where - EDGE, 0) % 3
+        edge, corners = k % self._bends.shape[1], self._corners
+        p, q = corners[near, edge], corners[near, (edge + 1) % corners.shape[1]]
+        bends = np.moveaxis(self._bends[near, edge], 1, 0)
+        foot, slope, bend = _edge(p, q, bends, at[:, :1])
+        J, second = np.zeros((n, 2, 3)), np.zeros((n, 2, 2, 3))
+        J[:, 0], second[:, 0, 0] = slope, bend
+        on_face, at_corner = where == FACE, where >= POINT
         if d == 2:
-            offset, slope, _ = self._on_edges(x, near, 0 * near, at)
-            past = np.abs((offset * slope).sum(axis=1)) > HALF_OF_DIGITS * (slope**2).sum(axis=1)
-            where = np.where((where >= POINT) & past, where, FACE)
-        value, gradient, hessian = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
-        for mine, part in ((where == FACE, self._from_inside), (where != FACE, self._from_edges)):
-            if mine.any():
-                parts = part(x[mine], near[mine], where[mine] - EDGE, at[mine])
-                value[mine], gradient[mine], hessian[mine] = parts
-        return Distance(value, gradient[:, :d], hessian[:, :d, :d])
-
-    def _on_edges(self, x: Floats, near: Longs, k: Longs, at: Floats) -> Parts:
-        """Offsets (n, 3) from edges, and both derivatives of the edges."""
-        p, q = self._corners[near, k], self._corners[near, (k + 1) % self._corners.shape[1]]
-        foot, slope, second = _edge(p, q, np.moveaxis(self._bends[near, k], 1, 0), at[:, :1])
-        return x - foot, slope, second
-
-    def _from_inside(self, x: Floats, near: Longs, where: Longs, at: Floats) -> Parts:
-        """Distances of points (n, 3) from smooth nearest points.
-
-        With tangents J, fundamental forms G and B, and F = G - phi B, the Hessian is -J G^-1 B F^-1
-        J^T.
-        """
-        if self._bends.shape[1] == 1:
-            offset, slope, second = self._on_edges(x, near, 0 * near, at)
-            J, second = slope[:, :, None], second[:, None, None]
-            normal = np.asarray(np.cross(slope, [0.0, 0.0, 1.0]), float)
+            off = np.abs(((x - foot) * slope).sum(axis=1))
+            at_corner &= off > HALF_OF_DIGITS * (slope**2).sum(axis=1)
+            on_face = ~at_corner
+            across = np.cross(slope, [0.0, 0.0, 1.0])
         else:
-            a = np.moveaxis(self._bends[near, :, 0], 1, 0)
-            p = np.moveaxis(self._corners[near], 1, 0)
-            foot, js, jt = _face(p, a, at[:, :1], at[:, 1:])
+            a = self._bends[near[on_face], :, 0]
+            s, t = at[on_face].T[..., None]
+            p, a = (np.moveaxis(v, 1, 0) for v in (corners[near[on_face]], a))
+            foot[on_face], J[on_face, 0], J[on_face, 1] = _face(p, a, s, t)
             mixed = a[1] - a[0] - a[2]
-            second = np.stack([-2.0 * a[0], mixed, mixed, -2.0 * a[2]], axis=1)
-            second = second.reshape(-1, 2, 2, 3)
-            offset, J = x - foot, np.stack([js, jt], axis=2)
-            normal = np.asarray(np.cross(js, jt), float)
-        _, normal = unit_vectors(normal)
-        phi = (offset * normal).sum(axis=1)
-        B = (second * normal[:, None, None]).sum(axis=3)
-        Jt = np.swapaxes(J, 1, 2)
-        G = Jt @ J
-        F = G - phi[:, None, None] * B
-        return phi, normal, -J @ np.linalg.solve(G, B @ np.linalg.solve(F, Jt))
-
-    def _from_edges(self, x: Floats, near: Longs, where: Longs, at: Floats) -> Parts:
-        """Distances of points (n, 3) from edges and corners, with curvature 1 / r."""
-        k, at_corner = where % 3, (where >= POINT - EDGE)[:, None]
-        edge = k % self._bends.shape[1]
-        offset, slope, second = self._on_edges(x, near, edge, at)
-        curved = (slope**2).sum(axis=1) - (offset * second).sum(axis=1)
-        along = slope[:, :, None] * slope[:, None] / curved[:, None, None]
-        offset = np.where(at_corner, x - self._corners[near, k], offset)
-        normal = np.where(at_corner, self._normals[1][near, k], self._normals[0][near, edge])
-        _, normal = unit_vectors(normal)
+            parts = np.stack([-2.0 * a[0], mixed, mixed, -2.0 * a[2]], axis=1)
+            second[on_face] = parts.reshape(-1, 2, 2, 3)
+            across = np.cross(J[:, 0], J[:, 1])
+        foot[at_corner], J[at_corner], second[at_corner] = corners[near, k][at_corner], 0.0, 0.0
+        normal = np.where(
+            at_corner[:, None], self._normals[1][near, k], self._normals[0][near, edge]
+        )
+        _, normal = unit_vectors(np.where(on_face[:, None], across, normal))
+        offset = x - foot
+        value = (offset * normal).sum(axis=1)
         r = np.linalg.norm(offset, axis=1)
-        sign = np.where((offset * normal).sum(axis=1) < 0.0, -1.0, 1.0)
         # round-off has no direction
-        apart = r > HALF_OF_DIGITS * np.ptp(self._corners, axis=(0, 1)).max()
-        divisor = np.where(apart, sign * r, 1.0)
-        gradient = np.where(apart[:, None], offset / divisor[:, None], normal)
-        across = np.eye(3) - gradient[:, :, None] * gradient[:, None]
-        across -= np.where(at_corner[:, None], 0.0, along)
-        hessian = np.where(apart[:, None, None], across / divisor[:, None, None], 0.0)
-        return sign * r, gradient, hessian
+        apart = ~on_face & (r > HALF_OF_DIGITS * np.ptp(corners, axis=(0, 1)).max())
+        value = np.where(on_face, value, np.where(value < 0.0, -r, r))
+        divisor = np.where(apart, value, np.inf)[:, None]
+        normal = np.where(apart[:, None], offset / divisor, normal)
+        B = (second * normal[:, None, None]).sum(axis=3)
+        G = J @ np.swapaxes(J, 1, 2)
+        G[:, range(2), range(2)] += ~J.any(axis=2)
+        inverse = np.linalg.inv(G)
+        bent = inverse @ B @ np.linalg.solve(G - value[:, None, None] * B, J)
+        rest = np.eye(3) - normal[:, :, None] * normal[:, None]
+        rest = (rest - np.swapaxes(J, 1, 2) @ inverse @ J) / divisor[..., None]
+        hessian = rest - np.swapaxes(J, 1, 2) @ bent
+        return Distance(value, normal[:, :d], hessian[:, :d, :d])
 
 
 def _in_space(x: Floats) -> Floats:

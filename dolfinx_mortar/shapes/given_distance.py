@@ -125,29 +125,27 @@ class SignedDistance(Shape):
 
 
 def _compile(phi: Expr, d: int) -> Kernel:
-    known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
     if phi.ufl_shape != () or phi.ufl_free_indices:
         raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
     phi = apply_derivatives(apply_algebra_lowering(phi))
     parts = list(traverse_unique_terminals(phi))
-    others = [str(part) for part in parts if not isinstance(part, known)]
-    if others:
+    at = [p for p in parts if isinstance(p, ufl.SpatialCoordinate) and p.ufl_shape == (d,)]
+    numbers = ConstantValue, ufl.classes.MultiIndex
+    others = [
+        f"{p} of shape {p.ufl_shape}" for p in parts if p not in at and not isinstance(p, numbers)
+    ]
+    if others or not at:
         raise ValueError(
-            f"phi contains {', '.join(others)}: give an expression of x, a SpatialCoordinate, and "
-            "numbers; position and rotation move the tool"
+            f"phi contains {', '.join(others) or 'no SpatialCoordinate'}: give an expression of x, "
+            f"a SpatialCoordinate of {d} coordinates as point, and numbers; position and rotation "
+            "move the tool"
         )
-    at = [part for part in parts if isinstance(part, ufl.SpatialCoordinate)]
-    wrong = [x for x in at if x.ufl_shape != (d,)]
-    if wrong or not at:
-        has = f"x of {wrong[0].ufl_shape[0]} coordinates" if wrong else "no SpatialCoordinate"
-        raise ValueError(f"phi has {has}: give an expression of x of {d} coordinates, as point")
     x = ufl.variable(constants(d))
     value = ufl.replace(phi, dict.fromkeys(at, x))
     gradient = ufl.diff(value, x)
     hessian = ufl.diff(gradient, x)
-    numbers = [value, *(gradient[i] for i in range(d))]
-    numbers += [hessian[i, j] for i in range(d) for j in range(d)]
-    return compile_kernel(ufl.as_vector(numbers))
+    both = [hessian[i, j] for i in range(d) for j in range(d)]
+    return compile_kernel(ufl.as_vector([value, *(gradient[i] for i in range(d)), *both]))
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:

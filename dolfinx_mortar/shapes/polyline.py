@@ -9,8 +9,6 @@ order 4. Corners beyond ``crease`` are sharp, with edges as arcs.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -53,48 +51,37 @@ class Polyline(Curved):
         self.point = (x.min(axis=0) + x.max(axis=0)) / 2
         if point is not None:
             self.point = check("point", point, array((2,)))
-        self._p = x if closed else x[:-1]
-        self._q = np.roll(x, -1, axis=0)[: len(self._p)]
-        lengths, along = unit_vectors(self._q - self._p)
-        short = lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max()
-        before = along if closed else along[:-1]
-        after = np.roll(along, -1, axis=0)[: len(before)]
-        beside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        back = (np.abs(beside) <= HALF_OF_DIGITS) & ((before * after).sum(axis=1) < 0.0)
-        for what, wrong, at in (
-            ("points that coincide", short, self._p),
-            ("edges that go back along the one before", back, self._q[: len(back)]),
-            ("edges that cross others", _crossed(self._p, self._q), self._p),
+        p, q = (x if closed else x[:-1]), np.roll(x, -1, axis=0)[: len(x) - (not closed)]
+        lengths, along = unit_vectors(q - p)
+        before, joined = np.roll(along, 1, axis=0), closed | (np.arange(len(p)) > 0)
+        beside = before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0]
+        cosine = np.where(joined, (before * along).sum(axis=1), -np.inf)
+        back = joined & (np.abs(beside) <= HALF_OF_DIGITS) & (cosine < 0.0)
+        for what, wrong in (
+            ("points that coincide", lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max()),
+            ("edges that go back along the one before", back),
+            ("edges that cross others", _crossed(p, q)),
         ):
-            refuse("points have", at, wrong, what, REMEDY)
-        if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:
+            refuse("points have", p, wrong, what, REMEDY)
+        if closed and (x[:, 0] * q[:, 1] - x[:, 1] * q[:, 0]).sum() < 0.0:
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
                 "a cavity give the Complement of that"
             )
-        chord = self._q - self._p
-        start, end = self._tangents(lengths, along)
-        bends = np.stack([lengths[:, None] * t - chord for t in (start, end)], axis=1)
+        smooth = cosine >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
+        start, end = _tangents(lengths, along, smooth & (self.crease > 0.0))
+        bends = np.stack([lengths[:, None] * t - (q - p) for t in (start, end)], axis=1)
         ends = np.stack([start[:, ::-1], end[:, ::-1]], axis=1) * [1.0, -1.0]
         around = ends.copy()
-        around[:, 0] += np.roll(ends[:, 1], 1, axis=0)
-        around[:, 1] += np.roll(ends[:, 0], -1, axis=0)
-        if not closed:
-            around[0, 0], around[-1, 1] = ends[0, 0], ends[-1, 1]
-        corners = np.stack([self._p, self._q], axis=1)
-        self._bend(corners, bends[:, None], ends[:, :1], around)
+        around[joined, 0] += np.roll(ends[:, 1], 1, axis=0)[joined]
+        around[np.roll(joined, -1), 1] += np.roll(ends[:, 0], -1, axis=0)[np.roll(joined, -1)]
+        self._bend(np.stack([p, q], axis=1), bends[:, None], ends[:, :1], around)
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
         """Points (n, 2), and lines (m, 2) between them."""
-        first = np.arange(len(self._p))
+        first = np.arange(len(self._corners))
         return self.points, np.stack([first, (first + 1) % len(self.points)], axis=1)
-
-    def given(self) -> Mapping[str, Any]:
-        """See `Shape`; with a digest of the points."""
-        digest = hashlib.sha256(self.points.tobytes()).hexdigest()
-        names = {"point": self.point, "crease": self.crease, "closed": self.closed}
-        return {"points": digest, **names}
 
     def __repr__(self) -> str:
         return f"Polyline({len(self.points)} points{'' if self.closed else ', closed=False'})"
@@ -111,27 +98,26 @@ class Polyline(Curved):
                 )
         return super().misfit(d, revolved)
 
-    def _tangents(self, lengths: Floats, along: Floats) -> tuple[Floats, Floats]:
-        before = np.roll(along, 1, axis=0)
-        smooth = (along * before).sum(axis=1) >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
-        smooth &= self.crease > 0.0
-        if not self.closed:
-            smooth[0] = False
-        weighted = along / lengths[:, None]
-        _, middle = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
-        last = np.roll(lengths, 1)
-        found, spans = [middle, before, along], [last + lengths, last, lengths]
-        for ways, way in ((before, -1), (along, 1)):
-            of_circle = np.roll(_mirrored(middle, ways), way, axis=0)
-            found.append(np.where(np.roll(smooth, way)[:, None], of_circle, np.inf))
-            spans.append(np.roll(spans[0], way))
-        tangent = _agreeing(np.array(found), np.array(spans))
-        start, end = tangent, np.roll(tangent, -1, axis=0)
-        at_end = np.roll(smooth, -1)
-        sharp_start = np.where(at_end[:, None], _mirrored(end, along), along)
-        sharp_end = np.where(smooth[:, None], _mirrored(start, along), along)
-        start = np.where(smooth[:, None], start, sharp_start)
-        return start, np.where(at_end[:, None], end, sharp_end)
+
+def _tangents(lengths: Floats, along: Floats, smooth: Bools) -> tuple[Floats, Floats]:
+    """Unit tangents (m, 2) at both ends of edges, which are ``smooth`` (m,) at their start."""
+    weighted, before = along / lengths[:, None], np.roll(along, 1, axis=0)
+    _, middle = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
+    last = np.roll(lengths, 1)
+    found, spans = [middle, before, along], [last + lengths, last, lengths]
+    for ways, way in ((before, -1), (along, 1)):
+        of_circle = np.roll(_mirrored(middle, ways), way, axis=0)
+        found.append(np.where(np.roll(smooth, way)[:, None], of_circle, np.inf))
+        spans.append(np.roll(spans[0], way))
+    start = _agreeing(np.array(found), np.array(spans))
+    end, at_start, at_end = (
+        np.roll(start, -1, axis=0),
+        smooth[:, None],
+        np.roll(smooth, -1)[:, None],
+    )
+    sharp_start = np.where(at_end, _mirrored(end, along), along)
+    sharp_end = np.where(at_start, _mirrored(start, along), along)
+    return np.where(at_start, start, sharp_start), np.where(at_end, end, sharp_end)
 
 
 def _mirrored(tangent: Floats, along: Floats) -> Floats:

@@ -283,7 +283,7 @@ class Intersection(_Combined):
 
     def __init__(self, *shapes: Shape) -> None:
         super().__init__(*shapes)
-        if self._is_empty():
+        if len(shapes) > 1 and self._is_empty():
             raise ValueError(
                 f"{self!r} is empty: no point is within all of the shapes, so that nothing could "
                 "meet the tool; check where they are, and which sides of them are inside"
@@ -304,8 +304,6 @@ class Intersection(_Combined):
             if not (far > 0.0).all():
                 return False
             x = x - far[:, None] * gradients[order[0], every]
-        if len(found) < 2:
-            return False
         gap = far + values[order[1], every]
         facing = (gradients[order[0], every] * gradients[order[1], every]).sum(axis=1)
         size = np.abs(x).max() + far.max()

@@ -12,11 +12,8 @@ smooth edges flat.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,136 +26,87 @@ from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.shapes.curved import Curved
 from dolfinx_mortar.shapes.shape import CREASE, Distance, refuse
 
-FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
-"""Corners of the edges of a triangle."""
 
+def _check_surface(x: Floats, triangles: Longs, rim: bool) -> Longs:
+    """Edges (m, 3) beyond those of triangles, 3 triangle + edge, -1 at a rim, or a ValueError."""
 
-@dataclass(frozen=True)
-class Triangulation:
-    """Triangles with common corners and edges."""
+    def refuse_some(wrong: Bools, what: str, remedy: str) -> None:
+        at = np.asarray(wrong.reshape(len(x), -1).any(axis=1))
+        refuse("surface has", x.mean(axis=1), at, f"triangles {what}", remedy)
 
-    points: Floats  # (n, 3)
-    triangles: Longs  # (m, 3) counterclockwise as seen from outside
-    normals: Floats  # (m, 3) unit normals
-    beyond: Longs  # (m, 3) triangle across each edge, -1 at a rim
-
-    @property
-    def corners(self) -> Floats:
-        """Corners of the triangles (m, 3, 3)."""
-        return self.points[self.triangles]
-
-    def edge_normals(self) -> Floats:
-        """Sum of the normals at each edge (m, 3, 3)."""
-        other = np.where((self.beyond >= 0)[..., None], self.normals[self.beyond], 0.0)
-        return np.asarray(self.normals[:, None] + other)
-
-    def point_normals(self) -> Floats:
-        """Angle-weighted sum of the normals around each corner (m, 3, 3).
-
-        Its product with the offset from the nearest point is positive outside: J. A. Baerentzen, H.
-        Aanaes, Signed distance computation using the angle weighted pseudonormal (2005).
-        """
-        one, other = self._arms()
-        cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
-        angles = np.arccos(np.clip(cosine, -1.0, 1.0))
-        return self._summed(self.triangles.ravel(), angles[..., None] * self.normals[:, None])
-
-    def smooth_normals(self, crease: float) -> tuple[Floats, Bools]:
-        """Unit normals at corners (m, 3, 3), and the mask (m, 3) of edges without crease.
-
-        Averages over triangles connected without a crease (an angle above ``crease`` degrees),
-        exact for spheres: N. Max, Weights for computing vertex normals from facet normals (1999).
-        """
-        turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
-        smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
-        m = len(self.triangles)
-        mine, edge = np.nonzero(smooth)
-        other = self.beyond[mine, edge]
-        pairs = []
-        for corner in (FIRST[edge], SECOND[edge]):
-            same = self.triangles[other] == self.triangles[mine, corner][:, None]
-            pairs.append((3 * mine + corner, 3 * other + np.argmax(same, axis=1)))
-        rows, columns = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        graph = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(3 * m, 3 * m))
-        _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
-        one, other_arm = self._arms()
-        weights = (_length(one) * _length(other_arm)) ** 2
-        found = self._summed(group, np.cross(one, other_arm) / weights[..., None])
-        return found / _length(found)[..., None], smooth | (self.beyond < 0)
-
-    def _arms(self) -> tuple[Floats, Floats]:
-        x = self.corners
-        return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
-
-    def _summed(self, group: Longs, parts: Floats) -> Floats:
-        total = np.zeros((int(group.max()) + 1, 3))
-        np.add.at(total, group, parts.reshape(-1, 3))
-        return np.asarray(total[group].reshape(-1, 3, 3))
-
-
-def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
-    """Surface of points (n, 3) and triangles (m, 3); ValueErrors of `Triangles`."""
-    x = points[triangles]
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    sides = _length(x - x[:, [1, 2, 0]])
-    flat = _length(across) <= HALF_OF_DIGITS * sides.max(axis=1) ** 2
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        flat,
-        "triangles without area",
+    sides = _length(x - x[:, [1, 2, 0]]).max(axis=1)
+    refuse_some(
+        _length(across) <= HALF_OF_DIGITS * sides**2,
+        "without area",
         "remove them, and let their neighbours have common corners",
     )
-    beyond = _find_neighbours(x, triangles, rim)
+    ends, size = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2), triangles.max() + 1
+    keys, others = (ends @ [size, 1]).ravel(), (ends @ [1, size]).ravel()
+    _, place, count = np.unique(np.minimum(keys, others), return_inverse=True, return_counts=True)
+    refuse_some(
+        count[place] > 2,
+        "with an edge of three or more of them",
+        "no surface does that; leave out what is inside the tool",
+    )
+    order = np.argsort(keys)
+    found = order[np.minimum(np.searchsorted(keys[order], others), len(keys) - 1)]
+    beyond = np.where(keys[found] == others, found, -1).reshape(-1, 3)
+    turned = ((beyond < 0) & (count[place] == 2).reshape(-1, 3)).sum(axis=1)
+    refuse_some(
+        turned > (turned > 1).any(),  # of the majority
+        "that are turned against their neighbours",
+        "order the corners of all counterclockwise as seen from outside of the tool",
+    )
+    if not rim:
+        refuse_some(
+            beyond < 0,
+            "at a hole",
+            "close it; or give rim=True for a surface that ends beside the body",
+        )
     volume = float((x[:, 0] * np.cross(x[:, 1], x[:, 2])).sum())
     if (beyond >= 0).all() and volume < 0.0:
         raise ValueError(
             "surface is turned inside out, as normals of all its triangles point into it: turn "
             "them round, triangles[:, ::-1], or for a body in a cavity give the Complement of that"
         )
-    return Triangulation(points, triangles, across / _length(across)[:, None], beyond)
+    return beyond
 
 
-def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
-    """Triangle beyond each edge (m, 3), -1 at a rim."""
-    ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
-    _, place, count = np.unique(
-        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    place = place.ravel()
-    uses = count[place].reshape(-1, 3)
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        np.asarray((uses > 2).any(axis=1)),
-        "triangles with an edge of three or more of them",
-        "no surface does that; leave out what is inside the tool",
-    )
-    order = np.argsort(place, kind="stable")
-    starts = np.cumsum(count) - count
-    both = count == 2
-    one, other = order[starts[both]], order[starts[both] + 1]
-    beyond = np.full(len(ends), -1, dtype=np.int64)
-    beyond[one], beyond[other] = other // 3, one // 3
-    against = ends[one, 0] == ends[other, 0]
-    turned = np.bincount(np.append(one[against], other[against]) // 3, minlength=len(x))
-    refuse(
-        "surface has",
-        x.mean(axis=1),
-        np.asarray(turned > (turned > 1).any()),  # of the majority
-        "triangles that are turned against their neighbours",
-        "order the corners of all counterclockwise as seen from outside of the tool",
-    )
-    found = beyond.reshape(-1, 3)
-    if not rim:
-        refuse(
-            "surface has",
-            x.mean(axis=1),
-            np.asarray((found < 0).any(axis=1)),
-            "triangles at a hole",
-            "close it; or give rim=True for a surface that ends beside the body",
-        )
-    return found
+def _round(x: Floats, triangles: Longs, beyond: Longs, crease: float) -> tuple[Floats, ...]:
+    """Bends a and -a (m, 3, 2, 3), and sums of normals (m, 3, 3) at edges and at corners.
+
+    Smooth normals are averages over triangles connected without a crease, exact for spheres: N.
+    Max, Weights for computing vertex normals from facet normals (1999). The product of sums
+    weighted by angles with the offset from the nearest point is positive outside: J. A. Baerentzen,
+    H. Aanaes, Signed distance computation using the angle weighted pseudonormal (2005).
+    """
+    one, other = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+    across, sizes = np.cross(one, other), _length(one) * _length(other)
+    normals, inner = across / _length(across)[..., None], beyond >= 0
+    beside = np.where(inner[..., None], normals[beyond // 3, 0], 0.0)
+    smooth = (normals * beside).sum(axis=2) >= np.cos(np.radians(crease)) - HALF_OF_DIGITS
+    edge = np.flatnonzero(inner & smooth)
+    back = beyond.ravel()[edge]
+    pairs = edge, back - back % 3 + (back + 1) % 3  # first corner, and second one beyond
+    graph = scipy.sparse.coo_array((np.ones(len(edge)), pairs), shape=(triangles.size,) * 2)
+    _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    n = _summed(group, across / sizes[..., None] ** 2)
+    n /= _length(n)[..., None]
+    after = np.roll(n, -1, axis=1)
+    bent = ((after - n) * one).sum(axis=2) / ((n + after) ** 2).sum(axis=2)
+    bent *= (smooth | ~inner) * (crease > 0.0)
+    a = bent[..., None] * (n + after)
+    angles = np.arccos(np.clip((one * other).sum(axis=2) / sizes, -1.0, 1.0))
+    corners = _summed(triangles.ravel(), angles[..., None] * normals)
+    return np.stack([a, -a], axis=2), normals + beside, corners
+
+
+def _summed(group: Longs, parts: Floats) -> Floats:
+    """Sums of parts (m, 3, 3) over groups (3 m,) of corners."""
+    total = np.zeros((int(group.max()) + 1, 3))
+    np.add.at(total, group, parts.reshape(-1, 3))
+    return np.asarray(total[group].reshape(-1, 3, 3))
 
 
 def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -203,28 +151,19 @@ class Triangles(Curved):
             self.point = check("point", point, array((3,)))
         self._unread: ValueError | None = None
         try:
-            points, triangles = read_stl(surface) if file else _check_arrays(surface)
+            self._surface = read_stl(surface) if file else _check_arrays(surface)
         except ValueError as error:
             if not file:
                 raise
             self._unread = error  # perhaps on this rank only
+            self._digest = f"not read, {error}"
             return
-        self._triangulation = create_triangulation(points, triangles, rim=self.rim)
-        x = self.triangulation.corners
+        points, triangles = self._surface
+        x = points[triangles]
         if point is None:
             self.point = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
-        normals, smooth = self.triangulation.smooth_normals(self.crease)
-        a = _bulges(x, normals) * smooth[..., None] * (self.crease > 0.0)
-        shape = self.triangulation
-        bends = np.stack([a, -a], axis=2)
-        self._bend(x, bends, shape.edge_normals(), shape.point_normals())
-
-    @property
-    def triangulation(self) -> Triangulation:
-        """Triangles with neighbours; a ValueError for an unreadable file."""
-        if self._unread is not None:
-            raise self._unread
-        return self._triangulation
+        beyond = _check_surface(x, triangles, self.rim)
+        self._bend(x, *_round(x, triangles, beyond, self.crease))
 
     def misfit(self, d: int, revolved: bool) -> str:
         """See `Shape`."""
@@ -232,35 +171,21 @@ class Triangles(Curved):
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
-        """See `Shape`."""
-        return self.triangulation.points, self.triangulation.triangles
-
-    def given(self) -> Mapping[str, Any]:
-        """See `Shape`; with a digest of the triangles."""
-        names = {"point": self.point, "crease": self.crease, "rim": self.rim}
+        """See `Shape`; a ValueError for an unreadable file."""
         if self._unread is not None:
-            return {"surface": f"not read, {self._unread}", **names}
-        shape = self.triangulation
-        digest = hashlib.sha256(shape.points.tobytes() + shape.triangles.tobytes()).hexdigest()
-        return {"surface": digest, **names}
+            raise self._unread
+        return self._surface
 
     def __repr__(self) -> str:
         of = f"{self.file!r}, " if self.file else ""
         if self._unread is not None:
             return f"Triangles({of}not read)"
-        return f"Triangles({of}{len(self.triangulation.triangles)} triangles)"
+        return f"Triangles({of}{len(self._surface[1])} triangles)"
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
-        _ = self.triangulation  # raises for an unreadable file
+        _ = self.surface  # raises for an unreadable file
         return super().distance(x)
-
-
-def _bulges(x: Floats, normals: Floats) -> Floats:
-    p, q, one, other = x[:, FIRST], x[:, SECOND], normals[:, FIRST], normals[:, SECOND]
-    both = one + other
-    turn = ((other - one) * (q - p)).sum(axis=2) / (both**2).sum(axis=2)
-    return np.asarray(turn[..., None] * both)
 
 
 def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
@@ -277,29 +202,28 @@ def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
     """Points (n, 3), merged, and triangles (m, 3) of a file; a ValueError if it is damaged."""
+    who = f"surface is {os.fspath(path)!r}"
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        raise ValueError(
-            f"surface is {os.fspath(path)!r}, which cannot be read: {error.strerror}"
-        ) from error
+        raise ValueError(f"{who}, which cannot be read: {error.strerror}") from error
     corners = _binary(content)
     if corners is None:
         corners = _text(content)
         if corners is not None and b"endsolid" not in content.lower():
             raise ValueError(
-                f"surface is {os.fspath(path)!r}, which ends after {len(corners)} triangles "
+                f"{who}, which ends after {len(corners)} triangles "
                 "without 'endsolid': it is cut off; export or copy it anew"
             )
     if corners is None or not len(corners):
         raise ValueError(
-            f"surface is {os.fspath(path)!r}, which is no STL file, {len(content)} bytes long: "
+            f"{who}, which is no STL file, {len(content)} bytes long: "
             "export the surface as STL, binary or text"
         )
     wrong = np.asarray(~np.isfinite(corners).all(axis=(1, 2)))
     if wrong.any():
         raise ValueError(
-            f"surface is {os.fspath(path)!r}, in which {int(wrong.sum())} of {len(corners)} "
+            f"{who}, in which {int(wrong.sum())} of {len(corners)} "
             "triangles have corners that are not finite, first number "
             f"{int(np.argmax(wrong)) + 1}: export it anew"
         )

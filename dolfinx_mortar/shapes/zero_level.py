@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Zero level of a signed distance in a box."""
 
-from itertools import permutations, product
+from itertools import permutations
 
 import numpy as np
 
 from dolfinx_mortar.common.arrays import LIMIT, ROUND_OFF, TINY, Floats, Longs
 from dolfinx_mortar.shapes.shape import Shape
 
-GRID = {2: 400, 3: 60}
-"""Cells along the longest side of the box."""
+GRID = {2: (64, 500), 3: (16, 5000)}
+"""Cells along the longest side of the box at first, and least number near the surface."""
 
 
 def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Longs]:
@@ -23,13 +23,15 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
         >>> bool(np.abs(np.linalg.norm(x, axis=1) - 1.0).max() < 1e-14)
         True
     """
-    low, high = _around(shape, low, high)
     d, size = len(low), float((high - low).max())
-    counts = _counts(low, high, GRID[d])
-    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
+    origins, cell = _near_surface(shape, low, high)
+    paths = [np.cumsum([0 * row[0], *row], axis=0) for row in permutations(np.eye(d, dtype=int))]
+    nodes = (origins[:, None, None] + np.array(paths)).reshape(-1, d)  # of simplices (Kuhn)
+    keys = nodes @ (nodes.max(initial=0) + 1) ** np.arange(d)
+    _, first, of = np.unique(keys, return_index=True, return_inverse=True)
+    x = low + cell * nodes[first]
     phi = shape.values(x)
-    edges, cells = _cross(_simplices(counts, phi < 0.0), phi < 0.0)
+    edges, cells = _cross(of.reshape(-1, d + 1), phi < 0.0)
     a, b = edges.T
     points = x[a] + (phi[a] / (phi[a] - phi[b]))[:, None] * (x[b] - x[a])
     far: Longs = np.arange(len(points))
@@ -44,39 +46,21 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
     return points, cells
 
 
-def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Corners (d,) of a box around the surface, by a coarse grid."""
-    for _ in range(LIMIT):
-        counts = _counts(low, high, GRID[len(low)] // 4)
-        cell = (high - low) / counts
-        axes = [a + c * (np.arange(n) + 0.5) for a, c, n in zip(low, cell, counts, strict=True)]
-        every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
-        x = every[np.abs(shape.values(every)) <= np.linalg.norm(cell)]
-        if not len(x):
+def _near_surface(shape: Shape, low: Floats, high: Floats) -> tuple[Longs, Floats]:
+    """Indices (n, d) of grid cells near the surface, and their sides (d,)."""
+    d, sides = len(low), high - low
+    longest, least = GRID[d]
+    counts = np.maximum(np.ceil(sides / sides.max() * longest), 1)
+    found: Longs = np.indices(counts.astype(int)).reshape(d, -1).T
+    cell = sides / counts
+    halves = np.indices(d * [2]).reshape(d, -1).T
+    for _ in range(14):  # for nodes with integer keys
+        middles = low + cell * (found + 0.5)
+        found = found[np.abs(shape.values(middles)) <= np.linalg.norm(cell) / 2]
+        if not 0 < len(found) < least:
             break
-        smaller = x.min(axis=0) - cell / 2, x.max(axis=0) + cell / 2
-        done = (smaller[1] - smaller[0]).max() > 0.5 * (high - low).max()
-        low, high = smaller
-        if done:
-            break
-    return low, high
-
-
-def _counts(low: Floats, high: Floats, most: int) -> Longs:
-    sides = high - low
-    return np.maximum(np.ceil(sides / sides.max() * most), 1).astype(np.int64)
-
-
-def _simplices(counts: Longs, inside: np.ndarray) -> Longs:
-    """Simplices (m, d + 1) of grid cells with nodes on both sides (Kuhn)."""
-    d = len(counts)
-    steps = np.array([np.prod(counts[i + 1 :] + 1, dtype=np.int64) for i in range(d)])
-    first = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
-    first = first.reshape(-1, d) @ steps
-    corners = first[:, None] + np.array(list(product((0, 1), repeat=d))) @ steps
-    first = first[inside[corners].any(axis=1) & ~inside[corners].all(axis=1)]
-    paths = [np.cumsum([0, *steps[list(order)]]) for order in permutations(range(d))]
-    return np.asarray(first[:, None, None] + np.array(paths)).reshape(-1, d + 1)
+        found, cell = (2 * found[:, None] + halves).reshape(-1, d), cell / 2
+    return found, cell
 
 
 def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:

@@ -19,10 +19,9 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
 from dolfinx_mortar.materials.tensor import GRADIENT, contract
-from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.laws import Integral, Region
-from dolfinx_mortar.solid.mean_volume import MeanDilatation, MeanVolume
+from dolfinx_mortar.solid.laws import Eigenstrain, Integral, Region
+from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.sources import unchanged
 from dolfinx_mortar.solid.term import MatrixForm, create_vector
@@ -68,7 +67,7 @@ class Forms:
         u: fem.Function,
         responses: Sequence[Response],
         integral: Integral,
-        dilatation: MeanDilatation | MeanVolume | None,
+        dilatation: MeanVolume | None,
         eigenstrain: Eigenstrain | None,
     ) -> None:
         """Compile all forms of a Newton step; collective."""
@@ -209,7 +208,7 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    derived = law.update is None and law.stress is None and law.tangent is None
+    derived = not law.at_points and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 
 

@@ -8,10 +8,13 @@
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
 stress p = K t of the output, the tangent is B^T (K / V) B. **Finite strain**, psi(F) = psi_0(F) +
 U(J), with p as an unknown: theory.md, Finite strain. On triangles and tetrahedra of second order N
-would lock. Pressures of tetrahedra, and of hexahedra of first order, alternate.
+would lock. The mean is a projection onto the functions N of each cell: 1, or (1, x - x_c) for
+cells of second order, x_c their middle. Pressures of tetrahedra, and of hexahedra of first order,
+alternate.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
-K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3).
+K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Boffi, L. Gastaldi, Int. J. Numer. Methods
+Fluids 39 (2002) 1001-1011 (N).
 """
 
 from __future__ import annotations
@@ -25,20 +28,134 @@ from petsc4py import PETSc
 import numpy as np
 
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, mesh
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.csr import csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arguments import check, one_of
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import set_owned
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
-from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
-from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
-from dolfinx_mortar.solid.laws import Integral, Region, measure
+from dolfinx_mortar.solid.laws import Eigenstrain, Integral, Region, measure
 from dolfinx_mortar.solid.term import assemble, create_vector
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
+
+
+class CellFunctions:
+    """The m functions N_k of each cell.
+
+    Attributes:
+        space: of coefficients (m,), one block per cell.
+        basis: N in UFL.
+        volumes: (owned cells,) int 1.
+        inverse: (owned cells, m, m), inverse of int N_k N_l.
+    """
+
+    def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
+        """Integrate over `dx`, with the coordinates if `affine`; collective."""
+        m = 1 + domain.geometry.dim * affine
+        self.space = fem.functionspace(domain, ("DG", 0, (m,)))
+        self.basis = ufl.as_vector([1.0])
+        if affine:
+            d, place = domain.topology.dim, fem.Function(self.space)
+            layout = domain.topology.index_map(d)
+            cells = np.arange(layout.size_local + layout.num_ghosts, dtype=np.int32)
+            values = place.x.array.reshape(-1, m)
+            at = self.space.dofmap.list[cells, 0]
+            values[at, 0] = domain.h(d, cells)
+            values[at, 1:] = mesh.compute_midpoints(domain, d, cells)[:, : m - 1]
+            offset = ufl.SpatialCoordinate(domain) - ufl.as_vector([place[i] for i in range(1, m)])
+            self.basis = ufl.as_vector([1.0, *(offset[i] / place[0] for i in range(m - 1))])
+        products = fem.functionspace(domain, ("DG", 0, (m, m)))
+        self._tests = ufl.TestFunction(self.space), ufl.TestFunction(products)
+        self._vectors = create_vector(self.space), create_vector(products)
+        mass = self.matrices(fem.form(self.paired(ufl.as_ufl(1.0)) * weight * dx))
+        self.volumes = mass[:, 0, 0].copy()
+        self.inverse = np.linalg.inv(mass).astype(np.float64)
+
+    @property
+    def size(self) -> int:
+        """The number m of functions."""
+        return int(self.space.dofmap.bs)
+
+    def field(self, coefficients: fem.Function) -> Expr:
+        """Return sum_k c_k N_k."""
+        return ufl.dot(coefficients, self.basis)
+
+    def tested(self, density: Expr) -> Expr:
+        """Form of `vectors`: int density N_k, N_0 = 1."""
+        return density * ufl.dot(self._tests[0], self.basis)
+
+    def paired(self, density: Expr) -> Expr:
+        """Form of `matrices`: int density N_k N_l."""
+        return density * ufl.inner(ufl.outer(self.basis, self.basis), self._tests[1])
+
+    def vectors(self, form: fem.Form) -> Floats:
+        """Integrals (owned cells, m); collective."""
+        return assemble(form, self._vectors[0]).reshape(-1, self.size).copy()
+
+    def matrices(self, form: fem.Form) -> Floats:
+        """Integrals (owned cells, m, m); collective."""
+        return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
+
+    def coefficients(self, integrals: Floats) -> Floats:
+        """Coefficients (owned cells, m) of the projection, given its integrals with N_k."""
+        return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
+
+    def values(self, f: fem.Function) -> Floats:
+        """View of the coefficients (owned cells, m)."""
+        return np.asarray(f.x.array[: self.inverse[:, 0].size].reshape(-1, self.size))
+
+
+class RowsOfCells:
+    """A matrix B with m rows per cell, and B^T W B with blocks W."""
+
+    def __init__(self, form: Any, m: int) -> None:
+        """Create the matrix without entries; collective."""
+        self._form, self._m = form, m
+        self._B = fem_petsc.create_matrix(form)
+        self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
+        self._sums: tuple[PETSc.Mat, PETSc.Mat] | None = None
+
+    def assemble(self) -> None:
+        """Assemble B; collective."""
+        self._B.zeroEntries()
+        fem_petsc.assemble_matrix(self._B, self._form)
+        self._B.assemble()
+
+    def times(self, v: fem.Function) -> Floats:
+        """Return B v (owned cells, m); collective."""
+        return np.asarray((self._B * v.x.petsc_vec).array).reshape(-1, self._m)
+
+    def add_square(self, weights: Floats, K: PETSc.Mat) -> None:
+        """Add B^T W B, W (owned cells, m, m), to a matrix of the mesh; collective."""
+        indptr, columns, values = csr_of(self._B)
+        rows = len(weights), self._m  # rows of a cell have the same columns
+        blocks = values.reshape(*rows, len(values) // max(rows[0] * rows[1], 1))
+        if self._products is None:
+            weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())
+            self._products = weighted, transpose, transpose.matMult(weighted)
+        weighted, transpose, product = self._products
+        set_csr(weighted, indptr, columns, (weights @ blocks).ravel())
+        self._B.transpose(transpose)
+        transpose.matMult(weighted, result=product)
+        subset = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+        if "baij" not in K.getType():
+            K.axpy(1.0, product, subset)
+            return
+        if self._sums is None:  # blocks have the whole pattern, a product only its entries
+            total = as_aij(K).duplicate(copy=False)
+            self._sums = total, total.convert(K.getType(), out=PETSc.Mat())
+        total, in_blocks = self._sums
+        total.zeroEntries()
+        total.axpy(1.0, product, subset)
+        total.convert(K.getType(), out=in_blocks)
+        K.axpy(1.0, in_blocks, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
 
 CELLS = ("quadrilateral", "hexahedron")
 # Their trace is linear in u.
@@ -47,7 +164,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
-) -> MeanDilatation | MeanVolume | None:
+) -> MeanVolume | None:
     """Volumetric part in the mean, None for "full"; a ValueError for other choices; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
@@ -76,76 +193,7 @@ def create_dilatation(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
-    if kinematics.finite:
-        return MeanVolume(u, integral)
-    return MeanDilatation(u, integral, eigenstrain)
-
-
-class MeanDilatation:
-    """The volumetric part at small strain, p = K t of each cell."""
-
-    def __init__(
-        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
-    ) -> None:
-        """Assemble B and V; collective."""
-        V = u.function_space
-        Q = fem.functionspace(V.mesh, ("DG", 0))
-        self.mean_stress = fem.Function(Q, name="mean_stress")
-        self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
-        trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
-        size, dx = integral.weight * test, measure(V.mesh, integral.degree)
-        modulus = integral(bulk_modulus_of(r) * test for r in integral.regions)
-        B, volumes, self._modulus = fem.form([trace * size * dx, size * dx, modulus])
-        self._B = RowsOfCells(B, 1)
-        self._B.assemble()
-        self._volumes = assemble(volumes, self._vector).copy()
-        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
-        self._free = None if free is None else fem.form(free)
-        self._bulk = np.zeros_like(self._volumes)
-        self._tangent: tuple[Floats, PETSc.Mat] | None = None
-
-    def complete(self, region: Region, response: Response) -> Response:
-        """Response to a deviator, with p."""
-        return dataclasses.replace(
-            response,
-            stress=response.stress + self.mean_stress * ufl.Identity(3),
-            change=lambda direction: response.change(ufl.dev(direction)),
-        )
-
-    def follow(self) -> None:
-        """Update to displacement and parameters; collective."""
-        self._bulk = assemble(self._modulus, self._vector) / self._volumes
-        change = self._B.times(self._u)[:, 0]
-        if self._free is not None:
-            change -= assemble(self._free, self._vector)
-        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
-        self.mean_stress.x.scatter_forward()
-
-    def energy(self, along: Any = None) -> float:
-        """sum_c K/2 V t^2 of owned cells."""
-        return float((self.densities() * self._volumes).sum())
-
-    def densities(self) -> Floats:
-        """K/2 t^2 of owned cells."""
-        p = self.mean_stress.x.array[: len(self._bulk)]
-        return np.asarray(p**2 / (2 * self._bulk))
-
-    def norm_squared(self, v: fem.Function) -> float:
-        """sum_c K / V (B v)^2 of owned cells."""
-        return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
-
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add B^T (K / V) B, formed once; collective."""
-        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
-        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
-            self._tangent = None  # free the memory first
-            product = K.duplicate(copy=False)
-            product.zeroEntries()
-            product.assemble()
-            self._B.add_square((self._bulk / self._volumes)[:, None, None], product)
-            self._tangent = self._bulk, product
-        assert self._tangent is not None
-        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    return MeanVolume(u, integral, eigenstrain)
 
 
 def bulk_modulus_of(region: Region) -> Expr:
@@ -181,31 +229,36 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The volumetric part at finite strain, by the mean of J over each cell.
+    """The volumetric part, by the mean of j over each cell: tr eps, at finite strain J.
 
     Attributes:
-        cells: the functions onto which J and U'(j) are projected.
+        cells: the functions onto which j and U'(j) are projected.
         mean_stress: coefficients of p, as of `follow`.
     """
 
-    def __init__(self, u: fem.Function, integral: Integral) -> None:
+    def __init__(
+        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+    ) -> None:
         """Compile; collective."""
-        V, regions = u.function_space, integral.regions
+        V, regions, self._finite = u.function_space, integral.regions, integral.kinematics.finite
         dx = measure(V.mesh, integral.degree)
-        affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
+        second = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
+        affine = self._finite and second
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
-        self._ratio.x.array[:: cells.size] = 1.0
-        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J, for derivatives
+        self._ratio.x.array[:: cells.size] = 1.0 * self._finite
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # j, for derivatives
         self._gradient = integral.kinematics.measure(u)
-        J = ufl.det(self._gradient)
-        change = ufl.derivative(J, u, ufl.TrialFunction(V))
+        if eigenstrain is not None:
+            self._gradient -= eigenstrain.tensor
+        of_point = ufl.det(self._gradient) if self._finite else ufl.tr(self._gradient)
+        change = ufl.derivative(of_point, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
         B, self._volume_form, self._bulk_form, *self._energy_forms = fem.form(
             [
                 cells.tested(change) * integral.weight * dx,
-                cells.tested(J) * integral.weight * dx,
+                cells.tested(of_point) * integral.weight * dx,
                 integral(cells.paired(bulk_modulus_of(r)) for r in regions),
                 integral(map(cells.tested, energy)),
                 integral(map(cells.tested, slope)),
@@ -213,17 +266,28 @@ class MeanVolume:
             ]
         )
         self._B = RowsOfCells(B, cells.size)
+        self._B.assemble()
+        self._tangent: tuple[Floats, PETSc.Mat] | None = None  # of small strain, and its weights
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
         at = Variable(self._at, Label(-4))
-        value = volumetric_energy(region, at)
+        value = self._energy_of(region, at)
         for _ in range(order):
             value = ufl.diff(value, at)
         return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Response with p in place of U'(J), and without U(J) in the energy."""
+        """Response with p in place of U'(J), and without U(J) in the energy.
+
+        At small strain that of the deviator, which has neither.
+        """
         F, p = self._gradient, self.cells.field(self.mean_stress)
+        if not self._finite:
+            return dataclasses.replace(
+                response,
+                stress=response.stress + p * ufl.Identity(3),
+                change=lambda direction: response.change(ufl.dev(direction)),
+            )
 
         def stress(gradient: Expr) -> Expr:
             J = ufl.det(gradient)
@@ -235,7 +299,7 @@ class MeanVolume:
             return response.change(direction) + without_variables(expand_derivatives(slope))
 
         energy = response.energy
-        energy = None if energy is None else energy - volumetric_energy(region, ufl.det(F))
+        energy = None if energy is None else energy - self._energy_of(region, ufl.det(F))
         total = response.stress + stress(F)
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
@@ -266,34 +330,50 @@ class MeanVolume:
     def step_along(self, v: fem.Function) -> VolumeStep:
         """Volumes and pressures along a step v from the present u; collective."""
         self.follow()
-        self._B.assemble()
         cells = self.cells
         return VolumeStep(
             ratio=cells.values(self._ratio).copy(),
-            change=cells.coefficients(self._B.times(v)),
+            change=cells.coefficients(self._change(v)),
             energy=self._energies(),
             slope=cells.vectors(self._energy_forms[1]),
             stiffness=cells.matrices(self._energy_forms[2]),
             inverse=cells.inverse,
         )
 
+    def _change(self, v: fem.Function) -> Floats:
+        """Return B v (owned cells, m); collective."""
+        if self._finite:
+            self._B.assemble()
+        return self._B.times(v)
+
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c int K (B v / V)^2 over the owned cells, K at small strain."""
-        self._B.assemble()
-        change = self.cells.coefficients(self._B.times(v))
+        change = self.cells.coefficients(self._change(v))
         bulk = self.cells.matrices(self._bulk_form)
         return float(np.einsum("ck,ckl,cl->", change, bulk, change))
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (U''(j) / V) B to a matrix with the pattern of the mesh; collective."""
-        self._B.assemble()
         inverse, stiffness = self.cells.inverse, self.cells.matrices(self._energy_forms[2])
-        self._B.add_square(inverse @ stiffness @ inverse, K)
+        weights = inverse @ stiffness @ inverse
+        if self._finite:
+            self._B.assemble()
+            self._B.add_square(weights, K)
+            return
+        same = self._tangent is not None and np.array_equal(self._tangent[0], weights)
+        if any_rank(self._ratio.function_space.mesh.comm, not same)[0]:
+            self._tangent = None  # free the memory first
+            product = K.duplicate(copy=False)
+            product.zeroEntries()
+            product.assemble()
+            self._B.add_square(weights, product)
+            self._tangent = weights, product
+        assert self._tangent is not None
+        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
-
-def volumetric_energy(region: Region, J: Expr) -> Expr:
-    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits."""
-    if region.law.strain == "finite":
-        assert region.law.volumetric is not None
-        return region.law.volumetric(J, region.symbols)
-    return bulk_modulus_of(region) / 2 * ufl.ln(J) ** 2
+    def _energy_of(self, region: Region, j: Expr) -> Expr:
+        """U(j) of a law of F; of a law that splits K/2 (ln j)^2, at small strain K/2 j^2."""
+        if region.law.strain == "finite":
+            assert region.law.volumetric is not None
+            return region.law.volumetric(j, region.symbols)
+        return bulk_modulus_of(region) / 2 * (ufl.ln(j) if self._finite else j) ** 2

@@ -4,7 +4,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -82,34 +82,38 @@ class PointFields:
         return shapes
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of all fields without single components."""
-        norms = [
-            f"{name}_{norm}"
-            for name in self.bases
-            if self._is_tensor(name)
-            for norm in ("norm", "vector_norm")
-        ]
-        aliases = [name for name, target in ALIASES.items() if target in norms]
-        return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
-
-    @cached_property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """`bases`, and fields that no law defines."""
         size = (len(self._components),)
-        return {
-            name: size if is_tensor else () for name, is_tensor in PLASTIC_FIELDS.items()
-        } | self.bases
+        zeros = {name: size if is_tensor else () for name, is_tensor in PLASTIC_FIELDS.items()}
+        return zeros | self.bases
+
+    @cached_property
+    def _fields(self) -> dict[str, tuple[str, Any]]:
+        """Name -> field from which each is calculated, and how; fields of laws first."""
+        parts: dict[str, Any] = {"norm": frobenius_norm, "vector_norm": vector_norm}
+        for k, component in enumerate(self._components):
+            parts[component] = partial(np.take, indices=k, axis=-1)
+        found: dict[str, tuple[str, Any]] = {name: (name, np.asarray) for name in self._shapes}
+        found["von_mises"] = "stress", von_mises
+        for base, shape in self._shapes.items():
+            if shape == (len(self._components),):
+                found |= {f"{base}_{part}": (base, how) for part, how in parts.items()}
+        found |= {name: found[target] for name, target in ALIASES.items()}
+        return found | {name: (name, np.asarray) for name in self.bases}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all fields of the laws without single components."""
+        given = self._fields.items()
+        return tuple(
+            n for n, (base, how) in given if base in self.bases and type(how) is not partial
+        )
 
     @property
     def scalars(self) -> list[str]:
         """Names of all scalars, with norms and components of tensors."""
-        parts = ("norm", "vector_norm", *self._components)
-        tensors = [
-            f"{name}_{part}" for name in self._shapes if self._is_tensor(name) for part in parts
-        ]
-        stored = [name for name, shape in self._shapes.items() if not shape]
-        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *tensors]))
+        return [n for n in self._fields if not self._shapes.get(n)]
 
     def values(self, name: str) -> np.ndarray:
         """Field on the owned cells: (cells, points) or (cells, points, components).
@@ -125,28 +129,14 @@ class PointFields:
             ValueError: for an unknown field, or NaN of a law on this rank.
         """
         check("name", name, instance(str, f"give one of {', '.join(self.names)}"))
-        if name in self.bases:
-            return self._base(name)
-        name = ALIASES.get(name, name)
-        if name == "von_mises":
-            return von_mises(self._base("stress"))
-        for suffix, norm in (("_vector_norm", vector_norm), ("_norm", frobenius_norm)):
-            base = name.removesuffix(suffix)
-            if base != name and self._is_tensor(base):
-                return norm(self._base(base))
-        base, _, component = name.rpartition("_")
-        if component in self._components and self._is_tensor(base):
-            return self._base(base)[..., self._components.index(component)]
-        return self._base(name)
-
-    def _is_tensor(self, name: str) -> bool:
-        return self._shapes.get(name) == (len(self._components),)
+        if name not in self._fields:
+            raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
+        base, how = self._fields[name]
+        return np.asarray(how(self._base(base)))
 
     def _base(self, name: str) -> np.ndarray:
         if name in self._stored:
             return self._at_points(self._stored[name])
-        if name not in self._shapes:
-            raise ValueError(f"no field {name!r}; there are {', '.join(self.names)}.")
         shape = self._shapes[name]
         result = np.zeros((self._owned, self._points, *shape))
         for region in self._regions:
@@ -306,15 +296,14 @@ class EnergyDensities:
         tags = np.zeros(owned, dtype=np.int64)
         if named is not None:
             tags = tags_of_cells(domain, named)[:owned]
-        every = np.unique(np.concatenate(domain.comm.allgather(np.unique(tags))))
-        sums = np.zeros((len(every), 2))
-        for k, name in enumerate((STORED, DISSIPATED)):
-            of_cells = (fields.values(name) * fields.weights).sum(axis=1)
-            sums[:, k] = np.bincount(np.searchsorted(every, tags), of_cells, len(every))
-        domain.comm.Allreduce(MPI.IN_PLACE, sums)
+        every = sorted(set().union(*domain.comm.allgather(set(tags.tolist()))))
+        of_cells = [
+            (fields.values(name) * fields.weights).sum(axis=1) for name in (STORED, DISSIPATED)
+        ]
+        shares = np.array([[part[tags == tag].sum() for part in of_cells] for tag in every])
+        sums = domain.comm.allreduce(shares).tolist()
         names = {} if named is None else {tag: name for name, tag in names_of(named).items()}
-        keys = [names.get(int(tag), int(tag)) for tag in every]
-        return {key: Energies(*map(float, row)) for key, row in zip(keys, sums, strict=True)}
+        return {names.get(tag, tag): Energies(*row) for tag, row in zip(every, sums, strict=True)}
 
 
 class PointState:

@@ -21,17 +21,15 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import check_real, check_space
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.response import with_normal
-from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import Forms, create_responses
-from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
-from dolfinx_mortar.solid.laws import Integral, create_evaluations, create_regions
-from dolfinx_mortar.solid.mean_volume import (
-    MeanDilatation,
-    MeanVolume,
-    VolumeStep,
-    create_dilatation,
+from dolfinx_mortar.solid.laws import (
+    Integral,
+    create_eigenstrain,
+    create_evaluations,
+    create_regions,
 )
+from dolfinx_mortar.solid.mean_volume import VolumeStep, create_dilatation
 from dolfinx_mortar.solid.points import (
     DISSIPATED,
     STORED,
@@ -41,7 +39,7 @@ from dolfinx_mortar.solid.points import (
     PointState,
 )
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
-from dolfinx_mortar.solid.sources import unchanged
+from dolfinx_mortar.solid.sources import PointGradients, Volumes, as_cauchy, check_finite, unchanged
 from dolfinx_mortar.solid.term import Term, assemble
 
 # Written first.
@@ -147,8 +145,9 @@ class Solid(Term):
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
-        seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        if isinstance(dilatation, MeanDilatation):  # also pointwise laws get the deviator
+        eigenstrain = None if self.eigenstrain is None else self.eigenstrain.tensor
+        seen = measured if eigenstrain is None else measured - eigenstrain
+        if dilatation is not None and not finite:  # also pointwise laws get the deviator
             seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         how = self.regions, seen, self.state
@@ -162,7 +161,7 @@ class Solid(Term):
             whole = with_normal(measured, 1 + normal_strain(points.found))
         self.volumes = Volumes(u, whole, degree) if finite else None
         self.gradients = PointGradients(
-            *(u, self.kinematics, self.eigenstrain, self.stress),
+            *(u, self.kinematics, eigenstrain, self.stress),
             small=not finite and self.kinematics.linear_in(u),
         )
         points.shown |= {} if self.volumes is None else {"J": self.volumes.J}
@@ -257,12 +256,13 @@ class Solid(Term):
         """
         self.follow()
         dilatation = self.forms.dilatation
-        if pressure is not None and isinstance(dilatation, MeanVolume):
+        if pressure is not None and dilatation is not None:
             dilatation.set_pressure(pressure)
         self.forms.tangent.add_to(K)
         K.assemble()
         if dilatation is not None:
-            dilatation.follow()
+            if pressure is not None:
+                dilatation.follow()
             dilatation.add_tangent(K)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
@@ -417,7 +417,8 @@ def add_first_tangent(solid: Solid, K: PETSc.Mat) -> None:
 def volume_step(solid: Solid, du: fem.Function) -> VolumeStep | None:
     """Volumes and pressures along a step, None without means of J; collective."""
     dilatation = solid.forms.dilatation
-    return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
+    finite = solid.kinematics.finite
+    return dilatation.step_along(du) if dilatation is not None and finite else None
 
 
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:

@@ -17,7 +17,6 @@ from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.common.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.steps.subproblem import respond
 from dolfinx_mortar.terms.inertia import FORCES, Damping, Inertia
@@ -25,10 +24,6 @@ from dolfinx_mortar.terms.inertia import FORCES, Damping, Inertia
 # Smallest defect with a note: on impacts of a rod with a wall and a bar, velocities are wrong by
 # 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
-MASS = (
-    ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
-    "which impacts do not keep the energy whatever the step: mesh them with three layers or more"
-)
 
 
 @dataclass(frozen=True)
@@ -90,7 +85,7 @@ class EnergyLedger:
     def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
         F = self.problem.vector()
         self.problem.terms.add_forces(named, F)
-        return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
+        return F.array_r.reshape(self.inertia.mass.X.shape).copy()
 
     def _inside(self) -> Floats:
         return self._forces([("solid", self.problem.solid)])
@@ -130,7 +125,7 @@ class EnergyLedger:
     def _sum(self, array: Floats) -> float:
         return self.inertia.sum(array.sum())
 
-    def commit(self, report: StepReport, linear: LinearSolver) -> None:
+    def commit(self, report: StepReport) -> None:
         """Commit a converged step, and add its ledger to the report; collective."""
         problem, inertia, outcome = self.problem, self.inertia, self.problem.outcome
         supports, shape = problem.committed.supports, inertia.mass.X.shape
@@ -155,7 +150,7 @@ class EnergyLedger:
         impulse, owed = Impulse(), self.last.owed + takes + max(slides, 0.0)
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
-            impulse = self._impulse(motion["velocity"], forces, way, -owed, report.rtol, linear)
+            impulse = self._impulse(motion["velocity"], forces, way, -owed, report.rtol)
             work["supports"] += impulse.supports
             work["friction"] += impulse.friction
             owed = 0.0
@@ -188,7 +183,7 @@ class EnergyLedger:
             seen = f"in this step contact has {what} {100 * abs(left):.2g} % of the energy"
             why = f"{impulse.why}: take shorter steps, or some damping"
             report.notes.append(Note(seen, why))
-        report.notes += notes_on_energy(self.last, thin=self._contacts_have_mass())
+        report.notes += notes_on_energy(self.last)
 
     def _in_bodies(self, du: Floats, potential: float | None) -> tuple[float, float, float]:
         """Stored energy, dissipation and heat of a step."""
@@ -212,11 +207,6 @@ class EnergyLedger:
                 on[sides.nodes] = True
         return on
 
-    def _contacts_have_mass(self) -> bool:
-        bare, links = self.inertia.mass.massless, self.problem.system.unilateral
-        heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
-        return bool(any_rank(self.problem.comm, heavy)[0])
-
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
         """Motion (owned nodes, d) of touching tools at the nodes."""
         X, way = self.inertia.mass.X, np.zeros_like(before)
@@ -237,14 +227,13 @@ class EnergyLedger:
         way: Floats,
         energy: float,
         rtol: float,
-        linear: LinearSolver,
     ) -> Impulse:
         """Impulse of the forces of contact and friction that adds an energy; collective."""
         problem, mass, sums, start = self.problem, self.inertia.mass, self._sum, self.inertia.start
         moved = list[Floats]()
         for f in forces:
             acts = any_rank(problem.comm, f.any())[0]
-            y = respond(problem, f, rtol, linear) if acts else np.zeros_like(f)
+            y = respond(problem, f, rtol) if acts else np.zeros_like(f)
             if y is None:
                 why = "The linear solver found no response to the impulse that restores the energy"
                 return Impulse(left=energy, why=why)
@@ -271,14 +260,16 @@ def _balanced(ledger: Ledger) -> Ledger:
     return replace(ledger, largest=largest, defect=float(ratio(ledger.imbalance, largest)))
 
 
-def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
-    """Notes on an energy defect; `thin`: contact nodes have mass."""
+def notes_on_energy(ledger: Ledger) -> list[str]:
+    """Notes on an energy defect."""
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"
     seen = f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far"
     why = (
         "See report.ledger: the steps are too large for what moves in them (waves, impacts, "
-        "rotations, plastic flow), or spectral_radius < 1 damps it; halve the steps and compare"
+        "rotations, plastic flow), or spectral_radius < 1 damps it; halve the steps and compare. "
+        "Bodies of one or two layers of cells keep the mass of their contact nodes, with which "
+        "impacts do not keep the energy: mesh them with three layers or more"
     )
-    return [Note(seen, why + MASS * thin)]
+    return [Note(seen, why)]

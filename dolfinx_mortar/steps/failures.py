@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Steps in which bodies pass through each other, and causes of failed steps."""
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.audit.audit import find_free_motions
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import with_values
 from dolfinx_mortar.common.step_report import NewtonNotConverged, Note, StepReport
@@ -18,7 +17,6 @@ from dolfinx_mortar.mortar.passing import (
 )
 from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.bodies import name_of
 from dolfinx_mortar.terms.loads import Pressure
 
 # Softness u.K u / u.K_e u at a limit load: at most 6e-3 without hardening, .05 and more for metals.
@@ -102,6 +100,7 @@ def explain(
         seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
     elif problem.system.unilateral and not why[0]:
         why = [CORNERS]
+    parts = problem.bodies, problem.system, problem.supports
     loaded, finite = is_loaded(problem), problem.solid.strain == "finite"
     before, shown = problem.u.x.array.copy(), problem.solid.points.keep()
     try:
@@ -116,7 +115,7 @@ def explain(
         least = "reduce the load" if loaded else "take smaller steps"
         limit = "Without hardening a law carries no more than its limit load"
         seen, why = flowing, [f"{limit}: {least}, or give the law hardening"]
-    elif held := problem.held_by_contact():
+    elif held := find_free_motions(*parts, problem.terms.resistance())[1]:
         seen += f"; contact alone holds {'; '.join(held)}"
         if problem.system.has_friction:
             why.append(TOO_MUCH[loaded])
@@ -164,7 +163,7 @@ def is_loaded(problem: ContactProblem) -> bool:
 
 
 def _flow(problem: ContactProblem) -> str:
-    """Body at a limit load, where u.K u is small compared with u.K_e u; collective."""
+    """Bodies at a limit load, where u.K u is small compared with u.K_e u; collective."""
     solid, u = problem.solid, problem.u
     try:
         solid.evaluate()
@@ -174,18 +173,12 @@ def _flow(problem: ContactProblem) -> str:
     step = problem.vector(problem.owned_u)
     if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
         return ""
-    flowing, weights = solid.points.flowing(), solid.fields.weights
-    body, count = problem.bodies.of_cells[: len(weights)], problem.bodies.count
-    parts = [(weights * part).sum(axis=1) for part in (flowing, np.ones_like(weights))]
-    volumes = np.stack([np.bincount(body, part, minlength=count) for part in parts])
-    flow, whole = problem.comm.allreduce(volumes, op=MPI.SUM)
-    most = int(np.argmax(flow / whole))
-    if flow[most] == 0.0:
+    weights = solid.fields.weights
+    volumes = np.array([(weights * part).sum() for part in (solid.points.flowing(), 1.0)])
+    flow, whole = problem.comm.allreduce(volumes)
+    if flow == 0.0:
         return ""
-    return (
-        f"limit load? {name_of(problem.bodies, [most])} flows in "
-        f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate"
-    )
+    return f"limit load? {100 * flow / whole:.0f} % of the volume flows at the last iterate"
 
 
 def describe_passing(problem: ContactProblem) -> str:
@@ -226,17 +219,13 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _describe(found: Passing, master: bool) -> str:
-    at = [float(f"{x:.4g}") for x in found.place]
-    if found.surface is None and not found.count:
-        return (
-            f"the tool has passed through the side, as has its point, which began around {at}; no "
-            f"step may bring that point, {found.depth:.3g} deep in the tool, into the body"
-        )
-    who, into = "the side has passed through the tool", "tool"
+    who, many = "the side has passed through the tool", f" at {found.count} facets"
     if found.surface is not None:
-        side, into = "master" if master else "slave", "other body"
-        who = f"the {side} side has passed through the other one"
+        who = f"the {'master' if master else 'slave'} side has passed through the other one"
+    elif not found.count:  # a point of the tool
+        who, many = "the tool has passed through the side", ""
+    at = [float(f"{x:.4g}") for x in found.place]
     return (
-        f"{who}, at {found.count} facets, such as the one that began around {at}; no step may "
-        f"bring the middle of the body, {found.depth:.3g} behind that facet, into the {into}"
+        f"{who}{many}, by more than {found.depth:.3g} in one step, such as where it began around "
+        f"{at}: take smaller steps"
     )

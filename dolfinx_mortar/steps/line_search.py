@@ -71,10 +71,10 @@ class Moved:
     pressure: Floats | None  # (owned cells,) linearised mean stresses
 
 
-def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
+def take_step(problem: ContactProblem, found: Solution, penalty: float, old: Iterate) -> Moved:
     """Move u and driven tools along the solution of the QP; collective.
 
-    `largest` is the largest multiplier so far. The step is whole if the energy may increase.
+    `penalty` is the largest multiplier so far. The step is whole if the energy may increase.
     """
     lin, extent = found.lin, old.scales.extent
     T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
@@ -89,7 +89,7 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
         )
     direction = with_values(problem.V, du.array_r)
     volumes = volume_step(problem.solid, direction)
-    path = create_path(problem, found, du, largest)
+    path = create_path(problem, found, du, penalty)
     asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
     saddle = found.negative and not found.shift
     may_rise = asked > gap_round_off(problem.u) or found.exact or saddle
@@ -132,7 +132,7 @@ def search(
     length, halvings, solid, inverted = 1.0, 0, problem.solid.volumes, False
     why = "the line search found no step that lowers the energy"
     while length > ARMIJO:
-        move(problem, path.at(length))
+        problem.move(path.at(length))
         inverted = solid is not None and solid.inverted()
         if not inverted:
             if before is None:
@@ -150,7 +150,7 @@ def search(
         length, halvings = 0.5 * length, halvings + 1
     if inverted and solid is not None:
         why = f"{solid.describe_inverted()}, however short the step: take smaller load steps"
-    move(problem, path.start)
+    problem.move(path.start)
     raise StepFailed(why)
 
 
@@ -201,9 +201,3 @@ def find_slope(problem: ContactProblem, lin: Linearisation, path: Path) -> float
         forces = forces - lin.balance.friction
     local = -float(forces @ path.du) + path.excess(1.0) - path.excess(0.0)
     return float(problem.comm.allreduce(local))
-
-
-def move(problem: ContactProblem, values: Floats) -> None:
-    """Set the displacement to owned values; collective."""
-    problem.u.x.array[: values.size] = values
-    problem.u.x.scatter_forward()

@@ -15,16 +15,16 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, maximum, ratio
+from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, largest, ratio
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import NUMBER, check_optional
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import mean_cell_sizes
-from dolfinx_mortar.common.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.common.step_report import Iteration, NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import predict_active
-from dolfinx_mortar.persistence.committed import Before, Gained
-from dolfinx_mortar.problem.checks import check_controls, check_problem
+from dolfinx_mortar.persistence.committed import Before, Gained, StepOutcome
+from dolfinx_mortar.problem.checks import check_controls, check_problem, check_tightening
 from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
@@ -45,11 +45,13 @@ from dolfinx_mortar.problem.linearisation import (
 )
 from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.qp import LinearSolver
+from dolfinx_mortar.qp.linear import LinearSolveFailed
+from dolfinx_mortar.report.certificate import StepEnd, create_certificate, set_results
+from dolfinx_mortar.report.notes import find_notes
+from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.steps import driven_tools, failures
 from dolfinx_mortar.steps.line_search import take_step
-from dolfinx_mortar.steps.step_end import finish
-from dolfinx_mortar.steps.subproblem import STABLE, Iterate, Solution, Subproblem
+from dolfinx_mortar.steps.subproblem import Iterate, Solution, Subproblem
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +77,8 @@ def newton(
     from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj (w_n -
     gap)_+, with s twice the largest multiplier, shortens the step, except for laws without energy.
     With geometry="updated" normals, segments, D and M are computed in every iteration, and their
-    derivatives are part of the tangent where that converges faster.
+    derivatives are part of the tangent where that converges faster. For multigrid that fails see
+    `load_steps`.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -106,7 +109,6 @@ def solve_step(
     max_it: int,
     overlap: float = 0.0,
     level: float | None = None,
-    linear: LinearSolver | None = None,
 ) -> StepReport:
     """Solve one load step with an overlap that may remain at the end; see `newton`; collective."""
     given = {"qp": qp, "rtol": rtol, "max_it": max_it, "level": level}
@@ -115,35 +117,34 @@ def solve_step(
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
     if overlap > 0.0:
         report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
-    linear = linear or problem.linear
-    solvers = [linear]
+    linear = problem.linear
+    multigrid = linear.options.multigrid
     problem.go_back()
     last = problem.ended_here()
     before, earlier = Before(problem.state, problem.outcome), dict(problem.timings.seconds)
     try:
         with problem.timings("total"), from_callbacks():
             try:
-                gained = _solve(problem, report, solvers, before, max_it, (level, overlap))
+                gained = _solve(problem, report, before, max_it, level, overlap)
                 assert problem.outcome is not None
                 start = before if last is None or last.before is None else last.before
                 problem.outcome = replace(problem.outcome, level=level, before=start, gained=gained)
             except FAILED as error:
                 reached = problem.u.x.array.copy()
                 problem.undo(before)
-                problem.raise_failed()
+                linear.options.multigrid = multigrid
                 if not linear.direct:
                     linear.clear()  # its levels are those of undone tangents
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # maybe on one rank only: no communication
                 problem.undo(before)
+                linear.options.multigrid = multigrid
                 linear.abandon()
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        used = solvers[-1]
-        report.linear_solver += used.description
-        unread = [option for option in linear.options.unread() if option in used.options.unread()]
-        if report.converged and unread:
+        report.linear_solver += linear.description
+        if report.converged and (unread := linear.options.unread()):
             report.notes.append(
                 f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
                 "solver does not use them"
@@ -158,17 +159,15 @@ def solve_step(
 def _solve(
     problem: ContactProblem,
     report: StepReport,
-    solvers: list[LinearSolver],
     before: Before,
     max_it: int,
-    how: tuple[float | None, float],
+    level: float | None,
+    overlap: float,
 ) -> Gained | None:
     """Solve a step from the prediction of the last one, or else without."""
-    level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
-        qps = Subproblem(problem, data, report.backend, report.rtol, solvers[0])
-        step = _Step(problem, report, overlap, qps, solvers)
+        step = _Step(report, overlap, Subproblem(problem, data, report.backend, report.rtol))
         try:
             end = step.run(max_it)
         except (*FAILED, NewtonNotConverged):
@@ -176,7 +175,6 @@ def _solve(
                 raise
             problem.undo(before)
             report.begin_anew()
-            del solvers[1:]
         else:
             break
     now = problem.committed.level
@@ -188,69 +186,56 @@ def _solve(
 class _Step:
     """One load step in progress."""
 
-    def __init__(
-        self,
-        problem: ContactProblem,
-        report: StepReport,
-        overlap: float,
-        qps: Subproblem,
-        solvers: list[LinearSolver],
-    ) -> None:
-        self.problem, self.report, self.overlap, self.solvers = problem, report, overlap, solvers
-        self.data, self.qps = qps.data, qps
+    def __init__(self, report: StepReport, overlap: float, qps: Subproblem) -> None:
+        self.report, self.overlap, self.qps = report, overlap, qps
+        self.problem, self.data = qps.problem, qps.data
         if qps.solver.direct:  # the factorisation may be that of another attempt
             qps.solver.forget(keep_definite=qps.linear)
 
     def run(self, max_it: int) -> Iterate:
-        old, residuals = self.first(), list[Residuals]()
+        old = self.first()
         while len(self.report.iterations) < max_it:
             try:
-                new, residual = self.iterate(old, residuals, exact=self.is_exact(old, residuals))
+                new = self.iterate(old, exact=self.is_exact(old))
             except backends.QPNotSolved:
-                if not self.factorise(residuals):
+                if not self.factorise():
                     raise
                 continue
             if self.problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
-            exact = self.report.iterations[-1].exact_tangent
+            exact, residual = self.report.iterations[-1].exact_tangent, new.residuals[-1]
             if residual.excess <= 1.0:
                 with self.problem.timings("mortar"):
                     passed = failures.describe_passing(self.problem)
                 if passed:
                     raise failures.failed(self.problem, self.report, passed)
-                finish(self.qps, self.report, new, residual, self.overlap)
+                finish(self.qps, self.report, new, self.overlap)
                 return new
-            if exact and not self.missed(residual) <= self.missed(residuals[-1]):
-                old, residual = self.go_back(old, residuals[-1]), residuals[-1]
-            else:
-                old = new
-            residuals.append(residual)
+            worse = exact and not self.missed(residual) <= self.missed(old.residuals[-1])
+            old = self.go_back(old) if worse else new
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
-    def go_back(self, old: Iterate, residual: Residuals) -> Iterate:
+    def go_back(self, old: Iterate) -> Iterate:
         """Undo an exact step that raised the residual, and bar the exact tangent."""
-        self.problem.owned_u[:] = old.u
-        self.problem.u.x.scatter_forward()
+        residual = old.residuals[-1]
+        self.problem.move(old.u)
         for interface, kept in old.tools:
             interface.restore(kept)
         self.problem.follow_geometry()
         balance = self.balance(old.contacts)
         start = old.contacts.active[balance.nodes].astype(np.int8)
-        return replace(old, balance=balance, start=start, barred=DIGIT * self.missed(residual))
+        at = replace(old, balance=balance, start=start, barred=DIGIT * self.missed(residual))
+        return replace(at, residuals=[*old.residuals, residual])
 
-    def iterate(
-        self, old: Iterate, residuals: list[Residuals], *, exact: bool
-    ) -> tuple[Iterate, Residuals]:
+    def iterate(self, old: Iterate, *, exact: bool) -> Iterate:
         problem, number, rtol = self.problem, len(self.report.iterations) + 1, self.report.rtol
-        problem.raise_failed()
         free_unused(problem.comm)
-        found = self.qps.solve(old, residuals, exact=exact)
+        found = self.qps.solve(old, exact=exact)
         lin, solved = found.lin, found.solved
         contacts = found_by(lin, solved, problem.n).after(old.contacts, old.balance.limits)
-        multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
-        largest = max(old.largest, float(multiplier))
+        penalty = max(old.penalty, largest(problem.comm, contacts.multipliers))
 
-        moved = take_step(problem, found, largest, old)
+        moved = take_step(problem, found, penalty, old)
         norm = problem.solid.elastic_norm(problem.u)
         turned, updated = 0.0, self.qps.moving or self.qps.driven
         if updated:
@@ -262,7 +247,7 @@ class _Step:
         geometry = self.gap_error(found, moved.length, balance, contacts) if updated else 0.0
 
         scales = old.scales
-        if not residuals:
+        if not old.residuals:
             lifted = problem.vector(self.data.asked)
             lifted.pointwiseMult(lifted, lin.diagonal)
             scales = replace(scales, first=float(max(lin.qp.b.norm(), lifted.norm())))
@@ -277,7 +262,7 @@ class _Step:
                 force_residual=residual.forces,
                 contact_residual=residual.contact,
                 kkt=solved.kkt.worst,
-                active=problem.comm.allreduce(int(contacts.active.sum()), op=MPI.SUM),
+                active=problem.comm.allreduce(int(contacts.active.sum())),
                 changed=count_changes(lin, solved, old.start, residual.limit),
                 updates=solved.updates,
                 linear_iterations=solved.linear_iterations,
@@ -292,12 +277,13 @@ class _Step:
         contacts = contacts.completed(balance.limits)
         barred = old.barred
         if found.rejected:
-            barred = DIGIT * self.missed(residuals[-1])
-        elif residuals and not found.exact and self.missed(residual) > self.missed(residuals[-1]):
-            barred = np.inf
+            barred = DIGIT * self.missed(old.residuals[-1])
+        elif old.residuals and not found.exact:
+            if self.missed(residual) > self.missed(old.residuals[-1]):
+                barred = np.inf
         # by the force changes of the last two updates
         many = ratio(turned, old.turned) ** FEW * residual.excess > 1.0
-        iterate = Iterate(
+        return Iterate(
             problem.owned_u.copy(),
             self.tools(),
             moved.travel,
@@ -308,38 +294,34 @@ class _Step:
             moved.energy,
             norm,
             lin.diagonal,
-            largest,
+            penalty,
             moved.pressure,
             found.shift,
             found.negative,
             turned,
             slow=many and turned > SHARE * residual.forces * residual.limit / rtol,
             barred=barred,
+            residuals=[*old.residuals, residual],
         )
-        return iterate, residual
 
-    def factorise(self, residuals: list[Residuals]) -> bool:
-        """Factorise for the rest of the step, near a saddle; collective."""
-        near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
-        given_up = self.qps.solver.description
-        other = self.qps.solver.factorising() if near else None
-        if other is None:
+    def factorise(self) -> bool:
+        """Factorise from now on, if multigrid was the default; collective."""
+        given_up, number = self.qps.solver.description, len(self.report.iterations) + 1
+        if not self.qps.solver.give_up_multigrid():
             return False
-        self.qps = replace(self.qps, solver=other)
-        self.solvers.append(other)
-        done = len(self.report.iterations)
-        self.report.linear_solver = f"{given_up}, from iteration {done + 1} on "
-        told = f"{given_up} cannot solve the tangent near the balance, which may be a saddle of "
-        told += "the energy: the rest of this step is factorised"
-        self.report.notes.append(told)
+        self.report.linear_solver = f"{given_up}, from iteration {number} on "
+        self.report.notes.append(
+            f"{given_up} gave no solution in iteration {number}: from there on this step and later "
+            "ones are factorised (petsc_options={'pc_type': 'cholesky'} does so from the start)"
+        )
         if self.problem.comm.rank == 0:
-            log.info("%s", told)
+            log.warning("%s", self.report.notes[-1])
         return True
 
-    def is_exact(self, old: Iterate, residuals: list[Residuals]) -> bool:
-        if not residuals or old.shift or not self.qps.may_be_exact:
+    def is_exact(self, old: Iterate) -> bool:
+        if not old.residuals or old.shift or not self.qps.may_be_exact:
             return False
-        if not self.missed(residuals[-1]) < old.barred:
+        if not self.missed(old.residuals[-1]) < old.barred:
             return False
         return self.qps.finite or old.slow or self.report.iterations[-1].exact_tangent
 
@@ -381,5 +363,58 @@ class _Step:
         gaps[found.lin.balance.nodes] = bounds.upper - length * found.solved.x.array_r[bounds.dofs]
         off = np.abs(balance.bounds.upper - gaps[balance.nodes])
         off = off[contacts.active[balance.nodes] & np.isfinite(off)]
-        largest = float(maximum(self.problem.comm, off.max(initial=0.0))[0])
-        return largest / self.problem.system.facet_length
+        return largest(self.problem.comm, off) / self.problem.system.facet_length
+
+
+def finish(qps: Subproblem, report: StepReport, iterate: Iterate, overlap: float) -> None:
+    """Set the results of a converged step, with a remaining initial overlap; collective.
+
+    Raises:
+        StepFailed: if a tightening is larger than the model.
+    """
+    problem = qps.problem
+    contacts, residual = iterate.contacts, iterate.residuals[-1]
+    with problem.timings("results"):
+        problem.solid.evaluate()
+    if too_far := check_tightening(problem.system):
+        raise failures.StepFailed(too_far)
+    slips, balances = set_results(problem, iterate.balance, contacts)
+    end = StepEnd(problem, report, iterate.balance, contacts, residual, iterate.stiffness, overlap)
+    negative = iterate.negative or _ends_indefinite(qps, report)
+    report.notes += find_notes(end) + _notes_on_shifts(problem, report, negative)
+    report.certificate = create_certificate(end, balances)
+    supports = support_forces(problem, iterate.balance)  # last: no error may follow
+    at, paired = problem.owned_u.copy(), problem.system.present.paired_at
+    normal, tangential = -contact_forces(problem, contacts)
+    ended = [interface.state(True) for interface in problem.interfaces]
+    closed = contacts.active, contacts.sliding
+    outcome = StepOutcome(at, *closed, paired, slips, normal, tangential, ended)
+    problem.outcome, problem.committed.supports = outcome, supports
+    report.converged = True
+
+
+def _ends_indefinite(qps: Subproblem, report: StepReport) -> bool:
+    """Whether the last tangent is indefinite, also before symmetric buckling; collective."""
+    if not qps.finite or report.iterations[-1].shift:
+        return False
+    try:
+        return qps.solver.is_indefinite()
+    except LinearSolveFailed:  # singular
+        return True
+
+
+def _notes_on_shifts(problem: ContactProblem, report: StepReport, negative: bool) -> list[str]:
+    notes, shifted = list[str](), [it.number for it in report.iterations if it.shift]
+    cells = failures.describe_cells(problem)
+    if shifted:
+        seen = (
+            f"the tangent was indefinite in {len(shifted)} iterations, the last of them "
+            f"{shifted[-1]}: up to {max(it.shift for it in report.iterations):g} times "
+            "the elastic stiffness was added there"
+        )
+        notes.append(Note(seen, cells))
+    if negative or shifted[-1:] == [len(report.iterations)]:
+        seen = "the tangent is indefinite at the end: the equilibrium found is unstable"
+        why = "A small disturbance leads to another one, which an imperfect mesh finds"
+        notes.append(Note(seen, f"{why}. {cells}"))
+    return notes

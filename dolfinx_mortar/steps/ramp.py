@@ -47,17 +47,13 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
     Raises:
         ValueError: on all ranks, for an invalid table, with its number and the remedy.
     """
-    given: list[tuple[Any, Any]] = []
-    named = {"ramp": ramp}
+    given = ramp
     if isinstance(ramp, Mapping):
         given = [(constant, _listed(table)) for constant, table in ramp.items()]
-        named = {"ramp": len(given)}
-        named |= {f"ramp: table {k}": one for k, (_, one) in enumerate(given, start=1)}
-        named |= {f"ramp: key {k}": one for k, (one, _) in enumerate(given, start=1)}
-    check_same_on_all_ranks(comm, **named)
+    check_same_on_all_ranks(comm, ramp=given)
     remedy = "give a dictionary {Constant: [(level, value), ...]}"
     check_optional("ramp", ramp, instance(Mapping, remedy))
-    return [_read(f"ramp: table {k}", *one) for k, one in enumerate(given, start=1)]
+    return [_read(f"ramp: table {k}", *one) for k, one in enumerate(given or (), start=1)]
 
 
 def _listed(table: Any) -> Any:

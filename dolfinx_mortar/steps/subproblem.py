@@ -15,6 +15,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.problem.checks import StepData
 from dolfinx_mortar.problem.contacts import (
     DIGIT,
     Contacts,
@@ -33,7 +34,6 @@ from dolfinx_mortar.problem.linearisation import (
     to_reduced,
 )
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.steps import driven_tools
@@ -60,13 +60,14 @@ class Iterate:
     energy: Energy | None
     norm: float  # |u|_e
     stiffness: PETSc.Vec  # diagonal of the last K^
-    largest: float = 0.0
+    penalty: float = 0.0  # largest multiplier so far
     pressure: Floats | None = None  # (owned cells,) linearised mean stresses
     shift: float = 0.0
     negative: bool = False  # whether the last tangent is indefinite
     turned: float = np.inf  # change of contact forces by the geometry update
     slow: bool = False  # whether the fixed point converges slowly
     barred: float = np.inf  # residual above which the tangent is not exact
+    residuals: Sequence[Residuals] = ()  # of the iterates so far, in an undone step the last twice
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,11 @@ class Subproblem:
     data: StepData
     backend: str
     rtol: float
-    solver: LinearSolver
+
+    @property
+    def solver(self) -> LinearSolver:
+        """Linear solver."""
+        return self.problem.linear
 
     @property
     def linear(self) -> bool:
@@ -124,13 +129,13 @@ class Subproblem:
         others = [link.interface.driven() is None for link in self.problem.system.unilateral]
         return not self.driven or (self.finite and any(others))
 
-    def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
+    def solve(self, old: Iterate, *, exact: bool) -> Solution:
         """Solve the QP at an iterate, at first with the exact tangent if `exact`; collective."""
-        tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
-        found, rejected = None, ""
+        varies = not old.residuals and self.problem.terms.vary(self.problem.K)
+        tangent, found, rejected = varies or not self.linear, None, ""
         if exact:
             try:
-                found = self.exact(old, residuals, tangent)
+                found = self.exact(old, tangent)
             except backends.QPNotSolved as error:
                 rejected = f"without the exact tangent ({error})"
             else:
@@ -138,32 +143,36 @@ class Subproblem:
                 if old.shift and not curvature > 0.0:
                     found, rejected = None, "without the exact tangent, which is indefinite"
         if found is None:
-            found = replace(self.definite(old, residuals, tangent), rejected=rejected)
+            found = replace(self.definite(old, tangent), rejected=rejected)
         if found.solved.travel is None:
             return found
         lin, travel = driven_tools.settle(found.lin, found.solved, old.scales.extent)
         return replace(found, lin=lin, travel=travel)
 
-    def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
+    def definite(self, old: Iterate, tangent: bool) -> Solution:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
 
         Multiples of the elastic stiffness are added until K is positive definite, first a tenth of
         the last one; near equilibrium none, so that unstable equilibria converge.
         """
-        near = bool(residuals) and residuals[-1].forces < STABLE
+        near = bool(old.residuals) and old.residuals[-1].forces < STABLE
         least, most = SHIFTS
         shift = 0.0 if near or old.shift <= least else old.shift / 10.0
         failed: Exception | None = None
         while True:
             try:
-                found = self.shifted(shift, old, residuals, tangent)
+                lin = self.program(old, tangent, shift=shift)
+                solved, negative = self.solve_qp(lin, old), False
+                if self.finite:
+                    pivots = maximum(self.problem.comm, float(self.solver.negative_pivots()))[0]
+                    negative = bool(pivots > 0)
             except (backends.QPNotSolved, backends.UnusableQP) as error:
                 failed = failed or error
                 if near and not shift and self.finite and not self.solver.direct:
                     break  # shifts would leave a saddle again
             else:
-                if not self.finite or not found.negative or (near and shift == 0.0):
-                    return found
+                if not negative or (near and shift == 0.0):
+                    return Solution(lin, solved, shift=shift, negative=negative)
             self.solver.forget()
             if not self.finite or shift >= most:
                 break
@@ -172,41 +181,23 @@ class Subproblem:
             "the tangent stays indefinite, whatever multiple of the elastic one is added"
         )
 
-    def shifted(
-        self, shift: float, old: Iterate, residuals: Sequence[Residuals], tangent: bool
-    ) -> Solution:
-        """Solve with a multiple of the elastic stiffness; collective."""
-        lin, rtol = self.program(old, residuals, tangent, shift=shift)
-        solved = self.solve_qp(lin, old.start, old, rtol)
-        negative = False
-        if self.finite:
-            pivots = maximum(self.problem.comm, float(self.solver.negative_pivots()))[0]
-            negative = bool(pivots > 0)
-        return Solution(lin, solved, shift=shift, negative=negative)
-
-    def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
+    def exact(self, old: Iterate, tangent: bool) -> Solution:
         """Solve with the exact tangent and correct bounds; collective."""
-        lin, rtol = self.program(old, residuals, tangent, exact=True)
-        solved = self.solve_qp(lin, old.start, old, rtol)
+        lin = self.program(old, tangent, exact=True)
+        solved = self.solve_qp(lin, old)
         lin, left = corrected(lin, solved)
-        if left > DIGIT * residuals[-1].limit:
+        if left > DIGIT * old.residuals[-1].limit:
             last, guess = solved, None if self.solver.direct else solved.x
-            solved = self.solve_qp(lin, solved.active, old, rtol, guess)
+            solved = self.solve_qp(lin, replace(old, start=solved.active), guess)
             names = "updates", "linear_iterations", "factorisations"
             sums = {name: getattr(last, name) + getattr(solved, name) for name in names}
             solved = replace(solved, **sums)
         return Solution(lin, solved, negative=old.negative)
 
     def program(
-        self,
-        old: Iterate,
-        residuals: Sequence[Residuals],
-        tangent: bool,
-        *,
-        shift: float = 0.0,
-        exact: bool = False,
-    ) -> tuple[Linearisation, float]:
-        """QP, with the motions of driven tools as unknowns, and its tolerance; collective."""
+        self, old: Iterate, tangent: bool, *, shift: float = 0.0, exact: bool = False
+    ) -> Linearisation:
+        """QP, with the motions of driven tools as unknowns; collective."""
         contacts, scales = old.contacts, old.scales
         moving = contacts.multipliers, contacts.tangential, self.data.partners
         lin = linearise(
@@ -215,7 +206,6 @@ class Subproblem:
             tangent=tangent,
             shift=shift,
             pressure=old.pressure,
-            linear=self.solver,
             moving=moving if exact else None,
         )
         given = old.balance.friction is not None
@@ -226,7 +216,7 @@ class Subproblem:
                 drives.check_gaps(old.balance, contacts.active, scales.facet_length)
             scalars = driven_tools.as_scalars(drives, lin, DIGIT * self.rtol, scales.begun)
             lin = replace(lin, qp=replace(lin.qp, scalars=scalars), drives=drives)
-        return lin, self.accuracy(lin, residuals)
+        return lin
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
         """Relative tolerance of the next QP."""
@@ -244,12 +234,7 @@ class Subproblem:
         return max(tightest(self.rtol), min(found, most))
 
     def solve_qp(
-        self,
-        lin: Linearisation,
-        start: Actives,
-        old: Iterate,
-        rtol: float,
-        guess: PETSc.Vec | None = None,
+        self, lin: Linearisation, old: Iterate, guess: PETSc.Vec | None = None
     ) -> QPSolution:
         """Solve a QP; collective."""
         limits, kappa = old.balance.limits, None
@@ -262,11 +247,11 @@ class Subproblem:
                     lin.qp,
                     self.backend,
                     self.solver,
-                    start_active=start,
+                    start_active=old.start,
                     start_sliding=old.contacts.directions(limits),
                     start_kappa=kappa,
                     guess=guess,
-                    rtol=rtol,
+                    rtol=self.accuracy(lin, old.residuals),
                 )
             except backends.NoResistance as error:
                 raise driven_tools.unresisted(lin, error.which) from error
@@ -277,9 +262,7 @@ class Subproblem:
         return solved
 
 
-def respond(
-    problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
-) -> Floats | None:
+def respond(problem: ContactProblem, forces: Floats, rtol: float) -> Floats | None:
     """Return y (owned nodes, d) with K y = f, K the last tangent, or None; collective.
 
     Supports and ties hold, contacts do not act.
@@ -300,13 +283,13 @@ def respond(
         external=0.0,
     )
     try:
-        lin = linearise(problem, balance, tangent=False, linear=linear)
+        lin = linearise(problem, balance, tangent=False)
         solved = backends.solve(
             lin.qp,
-            linear=linear,
+            linear=problem.linear,
             start_active=np.zeros(len(contacts.dofs), dtype=np.int8),
             rtol=tightest(rtol),
         )
     except (backends.QPNotSolved, backends.UnusableQP):
         return None
-    return np.asarray(to_displacement(T, solved.x).array_r.reshape(forces.shape)).copy()
+    return to_displacement(T, solved.x).array_r.reshape(forces.shape).copy()

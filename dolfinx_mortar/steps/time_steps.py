@@ -4,26 +4,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
-
-from mpi4py import MPI
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, largest
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
-from dolfinx_mortar.common.arguments import check, check_optional, number, one_of
+from dolfinx_mortar.common.arguments import check, number, one_of
 from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Floats
 from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
-from dolfinx_mortar.heat import HEAT, Heat
+from dolfinx_mortar.heat import Heat
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.steps.energy_ledger import EnergyLedger
-from dolfinx_mortar.steps.walk import Level, Loading, Solves, read_way, walk
+from dolfinx_mortar.steps.walk import Level, Run
 from dolfinx_mortar.terms.inertia import (
     IMPLICIT,
     MOTION,
@@ -38,16 +36,14 @@ from dolfinx_mortar.terms.inertia import (
 CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 
-@dataclass
-class TimeSolves(Solves):
-    """Solution of steps in time, with a ledger."""
+class TimeRun(Run):
+    """Steps in time, with a ledger."""
 
-    conserve: bool
-    radius: float | None  # of "generalised-alpha"
-    loading: Loading
+    name = "time step"
+    conserve = True
+    radius: float | None = None  # of "generalised-alpha"
     ledger: EnergyLedger | None = None
-    notes: list[str] = field(default_factory=list)  # for the report of the first step
-    name: ClassVar[str] = "time step"
+    notes: Sequence[str] = ()  # for the report of the first step
 
     def to(self, level: Level) -> StepReport:
         """Solve a step to a time; collective."""
@@ -57,7 +53,7 @@ class TimeSolves(Solves):
         problem = self.problem
         before = Before(problem.state, problem.outcome)
         with problem.undone(before):
-            ledger = self._begin(level)
+            ledger = self._open(level)
             ledger.open()
             report = super().to(level)
             assert problem.outcome is not None  # before the start has settled
@@ -65,18 +61,18 @@ class TimeSolves(Solves):
         self.ledger = ledger
         return report
 
-    def _begin(self, level: Level) -> EnergyLedger:
+    def _open(self, level: Level) -> EnergyLedger:
         problem, begin = self.problem, self.problem.committed.level
         inertia, sides = find_inertia(problem), None
         goes_on = any(step.report.ledger is not None for step in problem.history[-1:])
         self.notes = [] if goes_on else stop_held(problem, inertia)
-        self.loading.set(problem, begin)
+        self.load(begin)
         if not goes_on:
             sides = self._settle(inertia, begin, level)
         ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
         if sides is not None:
             ledger.start(begin, level.time, sides)
-        self.loading.set(problem, level.time)
+        self.load(level.time)
         return ledger
 
     def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
@@ -97,7 +93,7 @@ class TimeSolves(Solves):
         inertia.scheme = IMPLICIT
         part = begin + QUARTER_OF_DIGITS * (level.time - begin)
         try:
-            self._solve(replace(level, time=part), self.linear)
+            super().to(replace(level, time=part))
             outcome = problem.outcome
             assert outcome is not None and outcome.normal is not None
             assert outcome.tangential is not None
@@ -108,11 +104,12 @@ class TimeSolves(Solves):
             assert problem.committed.supports is not None
             forces[on_sides] = problem.committed.supports.forces[on_sides]
         except NewtonNotConverged as error:
-            self.notes.append(
+            self.notes = [
+                *self.notes,
                 "Inertia: nodes of contacts, which have no mass, found no equilibrium with the "
                 f"loads of the start ({error.message.splitlines()[0]}): the first step knows no "
-                "contact forces at its start"
-            )
+                "contact forces at its start",
+            ]
         finally:
             problem.terms.roll_back()
             inertia.put(**before)
@@ -122,9 +119,9 @@ class TimeSolves(Solves):
     def commit(self, report: StepReport) -> None:
         """Commit a step with its ledger; collective."""
         assert self.ledger is not None
-        self.ledger.commit(report, self.linear)
+        self.ledger.commit(report)
         report.notes += self.notes
-        self.notes = []
+        self.notes = ()
 
     def settings(self) -> dict[str, Any]:
         """Scheme and damping, for the comparison with a checkpoint."""
@@ -135,7 +132,7 @@ class TimeSolves(Solves):
             "Damping(mass, stiffness)": [term.shares for term in terms],
         }
 
-    def may_cut(self, loading: Loading) -> bool:
+    def may_cut(self) -> bool:
         """True: half the time is another problem."""
         return True
 
@@ -158,6 +155,7 @@ def time_steps(
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
     heat: Heat | None = None,
+    dt: fem.Constant | None = None,
 ) -> Iterator[LoadStep]:
     """Step through time: set the loads, solve, commit, yield; collective.
 
@@ -191,7 +189,7 @@ def time_steps(
         cuts, max_cuts, progress, every: as in `load_steps`. A step is also cut where bodies would
             pass through each other.
         checkpoint: as in `load_steps`, with velocities and accelerations.
-        heat: as in `load_steps`.
+        heat, dt: as in `load_steps`.
 
     Yields:
         One ``LoadStep`` for every time, or remaining time of a continued run, with the `Ledger` of
@@ -202,23 +200,21 @@ def time_steps(
             `load_steps`.
         OSError, NewtonNotConverged: as `load_steps`.
     """
-    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
-    way = read_way(problem, *given)
+    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every, heat, dt
+    run = TimeRun(problem, *given, qp=qp, rtol=rtol, max_it=max_it)
     check_same_on_all_ranks(problem.comm, scheme=scheme, spectral_radius=spectral_radius)
     history, done = problem.history, 0
     walked = [step.time for step in history[len(history) - problem.committed.walked :]]
-    if start is None and len(walked) <= len(way.levels):  # the last run may go on
+    if start is None and len(walked) <= len(run.levels):  # the last run may go on
         size = max(map(abs, walked), default=0.0)
-        pairs = zip(way.levels, walked, strict=False)
+        pairs = zip(run.levels, walked, strict=False)
         done = len(walked) * all(abs(a - b) <= SAME * size for a, b in pairs)
-    check_increasing(way.begin, way.levels[done:])
-    found, radius = choose_scheme(scheme, spectral_radius)
+    check_increasing(run.begin, run.levels[done:])
+    found, run.radius = choose_scheme(scheme, spectral_radius)
     inertia = find_inertia(problem)
     problem.go_back()
-    inertia.scheme = found
-    solves = TimeSolves(problem, qp, rtol, max_it, scheme == CONSERVING, radius, way.loading)
-    solves.heat = check_optional("heat", heat, HEAT)
-    yield from walk(solves, way, done=done)
+    inertia.scheme, run.conserve = found, scheme == CONSERVING
+    yield from run.steps(done)
 
 
 def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
@@ -242,14 +238,13 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)
-    largest = (np.abs(values).max(initial=0.0) for values in (problem.u.x.array, velocity))
-    size, speed = maximum(problem.comm, *largest)
+    size, speed = (largest(problem.comm, values) for values in (problem.u.x.array, velocity))
     still = supports.owned & (np.abs(way) <= ROUND_OFF * size)
     against = still & (np.abs(velocity) > ROUND_OFF * speed)
-    (stopped,) = maximum(problem.comm, np.abs(velocity[against]).max(initial=0.0))
+    stopped = largest(problem.comm, velocity[against])
     if stopped == 0.0:
         return []
-    count = problem.comm.allreduce(int(against.any(axis=1).sum()), op=MPI.SUM)
+    count = problem.comm.allreduce(int(against.any(axis=1).sum()))
     velocity[still] = 0.0
     inertia.put(velocity=velocity)
     return [

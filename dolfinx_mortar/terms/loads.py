@@ -24,8 +24,8 @@ from dolfinx_mortar.common.arrays import (
     Ints,
 )
 from dolfinx_mortar.common.tags import check_entities, find_exterior, in_order, tag_of, tags_of
-from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
+from dolfinx_mortar.solid.mean_volume import CellFunctions
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted

@@ -2,6 +2,7 @@
 """Rings that fit into each other, for the tests of curved sides: shrink fits, and pins in holes."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 from mpi4py import MPI
 
@@ -11,9 +12,17 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
+from tests.cases.rings import shrink_fit_pressure
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
+
+
+def ring_cells(n, layers):
+    """Return quadrilaterals between layers + 1 closed lines of n nodes."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
+    k = (j + 1) % n
+    return np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
 
 
 def create_ring(inner, outer, angles, layers=2, order=1):
@@ -29,10 +38,7 @@ def create_ring(inner, outer, angles, layers=2, order=1):
         out, along = np.array([[0, 2, 0, 2, 1, 0, 2, 1, 1], [0, 0, 2, 2, 0, 1, 1, 2, 1]])
         cells = (i[:, None] + out) * n + (j[:, None] + along) % n
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(layers), np.arange(n), indexing="ij"))
-    k = (j + 1) % n
-    cells = np.column_stack([i * n + j, (i + 1) * n + j, i * n + k, (i + 1) * n + k])
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), cells.astype(np.int64)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]), ring_cells(n, layers)
 
 
 def rings(comm, inner, outer, counts, layers, order=1):
@@ -69,15 +75,6 @@ def hold(V, radius):
         )
         bcs.append(fem.dirichletbc(fem.Function(W.collapse()[0]), dofs, W))
     return bcs
-
-
-def lame_pressure(a, b, c, overlap, inner, outer):
-    """Return the pressure between two rings a to b and b to c, in plane strain (Lame)."""
-    give = 0.0
-    for (E, nu), sign, r in ((inner, -1, a), (outer, 1, c)):
-        ratio = (b**2 + r**2) / abs(b**2 - r**2)
-        give += b * (1 - nu**2) / E * (ratio + sign * nu / (1 - nu))
-    return overlap / give
 
 
 @dataclass
@@ -118,15 +115,6 @@ OVERLAP = 0.02
 STEELS = ((200e3, 0.3), (100e3, 0.33))  # of the inner and the outer ring
 
 
-@dataclass
-class ShrinkFit:
-    """A ring in a ring that is too narrow."""
-
-    problem: dm.ContactProblem
-    contact: dm.Contact
-    pressure: float  # Lame's
-
-
 def create_shrink_fit(
     counts,
     swap,
@@ -140,7 +128,7 @@ def create_shrink_fit(
     shift=(0.0, 0.0),
     **options,
 ):
-    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet."""
+    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers; with Lame's pressure."""
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
@@ -161,4 +149,5 @@ def create_shrink_fit(
     problem = create_problem(V, [contact], bcs, laws, cells, loads=loads, geometry=geometry)
     E, nu = STEELS[0]
     widened = overlap + 2 * (1 - nu**2) * pressure * a**2 * b / (E * (b**2 - a**2))
-    return ShrinkFit(problem, contact, lame_pressure(a, b, c, widened, *STEELS))
+    lame = shrink_fit_pressure(E, nu, (a, b, c), widened, STEELS[1])
+    return SimpleNamespace(problem=problem, contact=contact, pressure=lame)

@@ -15,7 +15,7 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar import common_normals
-from tests.cases.close_fits import create_ring, nested
+from tests.cases.meshes import _block
 from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
@@ -32,10 +32,8 @@ def averaged(pairing, segments, M, u, *options):
 
 def grid(nx, ny, place):
     """Return nodes and quadrilaterals of the unit square, mapped by place(s, t)."""
-    t, s = np.meshgrid(np.linspace(0, 1, ny + 1), np.linspace(0, 1, nx + 1), indexing="ij")
-    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
-    cells = first[:, None] + np.array([0, 1, nx + 1, nx + 2])
-    return np.stack([a.ravel() for a in place(s, t)], axis=1), cells.astype(np.int64)
+    x, cells = _block(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), "quadrilateral")
+    return np.stack(place(*x.T), axis=1), cells.astype(np.int64)
 
 
 def half_ring(nt, nr, outer, inner, centre):
@@ -145,48 +143,3 @@ def walk(case, path, times, **options):
     for step in dm.load_steps(case.problem, times, on_time=follow, **options):
         steps.append((step.time, case.contact.force.copy(), step.report))
     return steps
-
-
-@dataclass
-class TurningHub:
-    """A ring whose hub is turned, pressed into another one with a fixed outer side."""
-
-    problem: dm.ContactProblem
-    contact: dm.Contact
-    turned: fem.Function  # the displacement of both circles that are held
-    circles: tuple  # their dofs: of the hub, of the outer side
-
-    def turn(self, hub, outer=0.0):
-        """Prescribe the angles of the circles."""
-        X = self.turned.function_space.tabulate_dof_coordinates()[:, :2]
-        u = self.turned.x.array.reshape(-1, 2)
-        for nodes, angle in zip(self.circles, (hub, outer), strict=True):
-            c, s = np.cos(angle), np.sin(angle)
-            u[nodes] = X[nodes] @ (np.array([[c, s], [-s, c]]) - np.eye(2))
-
-
-def turning_hub(**options):
-    """Create the case: radii .4, 1.05 in 1, 1.8; 40 and 36 facets; the inner one ten times stiffer.
-
-    The options are those of the contact, and the geometry.
-    """
-    geometry = options.pop("geometry", "updated")
-    counts, shift = (40, 36), (0.0, 0.03)
-    radii = (0.4, 1.05), (1.0, 1.8)
-    parts = [
-        create_ring(*r, 2 * np.pi * np.arange(n) / n + s, layers=3)
-        for r, n, s in zip(radii, counts, shift, strict=True)
-    ]
-    domain, facets = nested(COMM, parts)
-    size = len(parts[0][1])
-    own = domain.topology.index_map(2).size_local
-    body = np.where(domain.topology.original_cell_index < size, 1, 2).astype(np.int32)[:own]
-    cells = mesh.meshtags(domain, 2, np.arange(own, dtype=np.int32), body)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    turned = fem.Function(V)
-    circles = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (1, 4)]
-    bcs = [fem.dirichletbc(turned, dofs) for dofs in circles]
-    laws = {1: dm.NeoHooke(10.0, 0.3), 2: dm.NeoHooke(1.0, 0.3)}
-    contact = dm.Contact(facets, slave=2, master=3, surface="facets", **options)
-    problem = create_problem(V, [contact], bcs, laws, cells, strain="finite", geometry=geometry)
-    return TurningHub(problem, contact, turned, tuple(circles))

@@ -11,7 +11,7 @@ import numpy as np
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.meshes import create_distributed
+from tests.cases.meshes import box_cells, box_points, create_distributed
 from tests.cases.two_bodies import create_problem
 
 SKIN = 1
@@ -25,27 +25,16 @@ def create_sheet(
     *,
     cell: str = "quadrilateral",
     closed: bool = False,
-    partition: str = "graph",
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
     """Return a bent sheet, and its facet tags, all with SKIN."""
-    d = len(cells)
-    counts = [n + 1 for n in cells]
-    grid = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
-    index = np.stack([g.ravel() for g in grid], axis=1)
-    number = np.arange(len(index)).reshape(counts)
+    d, lines = len(cells), [np.linspace(0.0, 1.0, n + 1) for n in cells]
+    s, e = box_points(lines), box_cells(cells, cell)
     if closed:
-        number[-1] = number[0]
-    used, number = np.unique(number, return_inverse=True)
-    number = number.reshape(counts)
-    x = place(index[used] / np.array(cells))
-    corners = np.stack([c.ravel() for c in np.meshgrid(*[[0, 1]] * d, indexing="ij")], axis=1)
-    corners = corners[:, ::-1]  # the first direction is the fastest
-    first = np.stack(
-        [g.ravel() for g in np.meshgrid(*map(np.arange, cells), indexing="ij")], axis=1
-    )
-    e = np.stack([number[tuple((first + corner).T)] for corner in corners], axis=1)
-    ranks = np.arange(len(e)) * comm.size // len(e)
-    mesh = create_distributed(comm, x, e, cell, 1, partition, ranks)
+        s[:, 0] %= 1.0
+        s, number = np.unique(s, axis=0, return_inverse=True)
+        e = number.ravel()[e]
+    x = place(s)
+    mesh = create_distributed(comm, x, e, cell)
     mesh.topology.create_connectivity(d - 1, d)
     facets = np.sort(dolfinx.mesh.exterior_facet_indices(mesh.topology))
     return mesh, dolfinx.mesh.meshtags(mesh, d - 1, facets, np.full(len(facets), SKIN, np.int32))
@@ -135,10 +124,7 @@ def create_fold(
 def create_ring(comm=MPI.COMM_WORLD, cells=(32, 2), **options) -> Fold:
     """Return a ring that is pressed together between its poles."""
     cell = "quadrilateral" if len(cells) == 2 else "hexahedron"
-    names = {"partition"} & options.keys()
-    sheet = create_sheet(
-        comm, cells, ring(), cell=cell, closed=True, **{n: options.pop(n) for n in names}
-    )
+    sheet = create_sheet(comm, cells, ring(), cell=cell, closed=True)
     return create_fold(sheet, lambda x: x[1] > 0.95, lambda x: x[1] < -0.95, **options)
 
 
@@ -146,18 +132,14 @@ def create_hairpin(comm=MPI.COMM_WORLD, cells=(40, 3), **options) -> Fold:
     """Return a strip that is bent by half a circle, whose ends are brought together."""
     cell = "quadrilateral" if len(cells) == 2 else "hexahedron"
     sheet = options.pop("sheet", None) or create_sheet(comm, cells, hairpin(), cell=cell)
-    return create_fold(sheet, *(ends_of(side) for side in (1, -1)), **options)
+    ends = [lambda x, s=s: (s * x[1] > 0.4 - 1e-9) & (x[0] < -1.0) for s in (1, -1)]  # outer faces
+    return create_fold(sheet, *ends, **options)
 
 
-def ends_of(side: int) -> Callable:
-    """Return where the outer faces of the ends of a hairpin are."""
-    return lambda x: (side * x[1] > 0.4 - 1e-9) & (x[0] < -1.0)
-
-
-def closed_ring(comm: MPI.Comm, partition: str) -> np.ndarray:
+def closed_ring(comm: MPI.Comm) -> np.ndarray:
     """Close a ring on itself in five steps; assert what holds; return forces, and nodes closed."""
     bar = 1e-6
-    fold = create_ring(comm, partition=partition)
+    fold = create_ring(comm)
     audit = fold.problem.audit()
     assert audit.warnings == []
     assert (audit.interfaces[0].slave_facets, audit.interfaces[0].master_facets) == (0, 0)

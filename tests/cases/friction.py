@@ -31,6 +31,12 @@ SPACE = {
 }
 
 
+ALIKE = {  # blocks that are as wide as each other
+    2: {"x_lower": (0.0, 1.0), "n_lower": (5, 2), "n_upper": (4, 3), "jitter": 0.3},
+    3: {"lower": (0.0, 1.0, 0.0, 1.0), "n_lower": (3, 3, 2), "n_upper": (2, 4, 2), "jitter": 0.3},
+}
+
+
 @dataclass
 class PushedBlock:
     """A problem whose upper block is moved by its top."""

@@ -18,3 +18,9 @@ def integral(form: ufl.Form) -> float:
         form = ufl.Form([part.reconstruct(subdomain_id=1, subdomain_data=chosen)])
     value = float(fem.assemble_scalar(fem.form(form)).real)
     return MPI.COMM_WORLD.allreduce(value)
+
+
+def sizes(mesh, tags, measure, names=None):
+    """Return length, area or volume by name, or by tag."""
+    one, d = fem.Constant(mesh, 1.0), ufl.Measure(measure, mesh, subdomain_data=tags)
+    return {name: integral(one * d(tags.tag(name))) for name in names or tags.names}

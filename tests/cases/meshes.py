@@ -2,6 +2,8 @@
 """Meshes of the tests: two structured blocks that do not match at their interface."""
 
 from collections.abc import Callable
+from functools import partial
+from itertools import permutations
 
 from mpi4py import MPI
 
@@ -27,42 +29,46 @@ def _columns(n: int, x: tuple[float, float], splits, jitter: float, seed: int) -
     return lines
 
 
-SECOND = {  # cells of degree two among the three by three nodes of a square, dolfinx's order
-    "triangle": ([0, 2, 8, 5, 4, 1], [0, 8, 6, 7, 3, 4]),
-    "quadrilateral": ([0, 2, 6, 8, 1, 3, 5, 7, 4],),
-}
+def box_points(lines, jitter: float = 0.0, seed: int = 0) -> Array:
+    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it."""
+    d, grid = len(lines), np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    shift = np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)
+    for i, line in enumerate(lines):
+        room = np.zeros(len(line))
+        room[1:-1] = np.minimum(np.diff(line)[:-1], np.diff(line)[1:])
+        shift[..., i] *= jitter * room.reshape([-1 if j == i else 1 for j in range(d)])
+    return (grid + shift).transpose(*range(d)[::-1], d).reshape(-1, d)
 
 
-def _halved(lines: Array) -> Array:
-    """Return the lines with others half way between them."""
-    return np.interp(np.arange(2 * len(lines) - 1) / 2, np.arange(len(lines)), lines)
+def _halved(points: Array, shape: list[int]) -> Array:
+    """Return the points of a grid (x fastest) of such a shape, with others half way between."""
+    d, grid = len(shape), points.reshape(*shape[::-1], len(shape))
+    for axis in range(d):
+        grid = np.moveaxis(grid, axis, 0)
+        fine = np.empty((2 * len(grid) - 1, *grid.shape[1:]))
+        fine[::2], fine[1::2] = grid, (grid[:-1] + grid[1:]) / 2
+        grid = np.moveaxis(fine, 0, axis)
+    return grid.reshape(-1, d)
 
 
-def _second_order_block(
-    lines: Array, rows: Array, cell: str
-) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Return points, numbered row by row, and cells of degree two of a structured block."""
-    nx, ny = len(lines) - 1, len(rows) - 1
-    width = 2 * nx + 1
-    points = np.stack([a.ravel() for a in np.meshgrid(_halved(lines), _halved(rows))], axis=1)
-    first = (2 * np.arange(ny)[:, None] * width + 2 * np.arange(nx)).ravel()
-    grid = (np.arange(3)[:, None] * width + np.arange(3)).ravel()
-    return points, np.concatenate([first[:, None] + grid[nodes] for nodes in SECOND[cell]])
+def box_cells(n, cell: str, order: int = 1) -> npt.NDArray[np.int64]:
+    """Return the cells of a grid with n cells per direction; d! simplices in each box."""
+    strides = np.cumprod([1, *(order * m + 1 for m in n[:-1])])
+    grid = np.meshgrid(*map(np.arange, n), indexing="ij")
+    grid = [i.ravel(order="FC"[len(n) - 2]) for i in grid]  # row by row in the plane
+    first = order * sum(s * i for s, i in zip(strides, grid, strict=True))
+    kind, variant = basix.CellType[cell], basix.LagrangeVariant.equispaced
+    nodes = basix.create_element(basix.ElementFamily.P, kind, order, variant).points
+    corners = [strides]
+    if cell in ("triangle", "tetrahedron"):
+        corners = [np.cumsum(strides[list(way)]) for way in permutations(range(len(n)))]
+    steps = [np.rint(order * nodes @ c).astype(np.int64) for c in corners]
+    return np.concatenate([first[:, None] + step for step in steps])
 
 
-def _block(
-    lines: Array, rows: Array, cell: str, order: int = 1
-) -> tuple[Array, npt.NDArray[np.int64]]:
+def _block(lines: Array, rows: Array, cell: str) -> tuple[Array, npt.NDArray[np.int64]]:
     """Return points, numbered row by row, and cells of a structured block."""
-    if order > 1:
-        return _second_order_block(lines, rows, cell)
-    nx, ny = len(lines) - 1, len(rows) - 1
-    points = np.stack([np.tile(lines, ny + 1), np.repeat(rows, nx + 1)], axis=1)
-    first = (np.arange(ny)[:, None] * (nx + 1) + np.arange(nx)).ravel()
-    quads = first[:, None] + np.array([0, 1, nx + 1, nx + 2])
-    if cell == "quadrilateral":
-        return points, quads
-    return points, np.concatenate([quads[:, [0, 1, 3]], quads[:, [0, 3, 2]]])
+    return box_points([lines, rows]), box_cells((len(lines) - 1, len(rows) - 1), cell)
 
 
 def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32]):
@@ -101,18 +107,42 @@ def create_distributed(
     )
 
 
-def _two_bodies(comm, points, cells, n_l, move, kind, where, marks):
-    """Return mesh and tags of two bodies of which the lower one has n_l points."""
-    partition, gap, height = where
+def _two_bodies(comm, lines, move, kind, partition, jitter=0.0, seed=0):
+    """Return mesh and tags of two bodies with the grid lines of each; kind: cell, order."""
+    (cell, order), d = kind, len(lines[0])
+    shapes = [[len(line) for line in box] for box in lines]
+    parts = [box_points(box, jitter, seed + i) for i, box in enumerate(lines)]
+    if order > 1:
+        parts = [_halved(x, shape) for x, shape in zip(parts, shapes, strict=True)]
+    n_l, points = len(parts[0]), np.concatenate(parts)
+    lower, upper = (box_cells([n - 1 for n in shape], cell, order) for shape in shapes)
+    cells = np.concatenate([lower, upper + n_l])
     middle = points[cells, 0].mean(axis=1)
     position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
     pieces = max(comm.size - 1, 1) if partition == "empty" else comm.size
     ranks = np.floor(pieces * position)
     if partition == "bodies" and comm.size > 1:
-        height = (points[cells, -1].mean(axis=1) - gap) / (height * (1 + 1e-9))
+        rows = lines[1][-1]
+        height = (points[cells, -1].mean(axis=1) - rows[0]) / (np.ptp(rows) * (1 + 1e-9))
         ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
-    mesh = create_distributed(comm, move(points), cells, *kind, partition, ranks)
-    d = points.shape[1]
+    mesh = create_distributed(comm, move(points), cells, cell, order, partition, ranks)
+
+    def on(axis, end, i):
+        found = np.empty(i.shape, dtype=bool)
+        for of, shape, first in ((i < n_l, shapes[0], 0), (i >= n_l, shapes[1], n_l)):
+            fine = [order * (n - 1) + 1 for n in shape]
+            index = np.unravel_index(i[of] - first, fine, order="F")[axis]
+            found[of] = index == (fine[axis] - 1) * end
+        return found
+
+    flanks = [(axis, end) for axis in range(d - 1) for end in (0, 1)]
+    marks = [(LEFT + k, partial(on, *flank)) for k, flank in enumerate(flanks)]
+    marks += [
+        (BOTTOM, lambda i: on(-1, 0, i) & (i < n_l)),
+        (TOP, lambda i: on(-1, 1, i) & (i >= n_l)),
+        (TOP_OF_LOWER, lambda i: on(-1, 1, i) & (i < n_l)),
+        (BOTTOM_OF_UPPER, lambda i: on(-1, 0, i) & (i >= n_l)),
+    ]
     cell_tags = _tag(mesh, d, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
     return mesh, cell_tags, _tag(mesh, d - 1, marks)
 
@@ -206,28 +236,13 @@ def two_blocks(
     """
     lower = _columns(n_lower[0], x_lower, splits_lower, jitter, seed)
     upper = _columns(n_upper[0], x_upper, splits_upper, jitter, seed + 1)
-    points_l, cells_l = _block(lower, np.linspace(-heights[0], 0, n_lower[1] + 1), cell, order)
-    rows = np.linspace(gap, gap + heights[1], n_upper[1] + 1)
-    points_u, cells_u = _block(upper, rows, cell, order)
-    n_l, n_u = len(points_l), len(points_u)
-    c_l, c_u = (order * (len(lines) - 1) + 1 for lines in (lower, upper))
-    points = np.concatenate([points_l, points_u])
-    cells = np.concatenate([cells_l, cells_u + n_l])
-
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
     def move(x: Array) -> Array:
         x = x @ turn if angle else x
         return x if transform is None else transform(x)
 
-    columns = lambda i: np.where(i < n_l, i % c_l, (i - n_l) % c_u)  # noqa: E731
-    marks = [
-        (LEFT, lambda i: columns(i) == 0),
-        (RIGHT, lambda i: columns(i) == np.where(i < n_l, c_l, c_u) - 1),
-        (BOTTOM, lambda i: i < c_l),
-        (TOP, lambda i: i >= n_l + n_u - c_u),
-        (TOP_OF_LOWER, lambda i: (i >= n_l - c_l) & (i < n_l)),
-        (BOTTOM_OF_UPPER, lambda i: (i >= n_l) & (i < n_l + c_u)),
-    ]
-    where = partition, gap, heights[1]
-    return _two_bodies(comm, points, cells, n_l, move, (cell, order), where, marks)
+    rows = np.linspace(-heights[0], 0, n_lower[1] + 1)
+    above = np.linspace(gap, gap + heights[1], n_upper[1] + 1)
+    lines = [lower, rows], [upper, above]
+    return _two_bodies(comm, lines, move, (cell, order), partition)

@@ -40,17 +40,17 @@ def msh_file(draw, **options):
         yield file
 
 
-def squares(model, *, low="low", up="up", z=0.0, mesh=2):
+def squares(model, *, z=0.0):
     """Two squares of side 1, one on the other without common nodes, 0.5 wider to the right."""
     for k, width in ((0, 1.5), (1, 1.0)):
         model.occ.addRectangle(0.0, float(k), z, width, 1.0)
     model.occ.synchronize()
-    model.addPhysicalGroup(2, [1], 11, low)
-    model.addPhysicalGroup(2, [2], 12, up)
+    model.addPhysicalGroup(2, [1], 11, "low")
+    model.addPhysicalGroup(2, [2], 12, "up")
     for line, (tag, name) in {1: (3, "bottom"), 3: (7, "master"), 5: (5, "slave")}.items():
         model.addPhysicalGroup(1, [line], tag, name)
     model.addPhysicalGroup(1, [7], 9)  # the top has no name
-    model.mesh.generate(mesh)
+    model.mesh.generate(2)
 
 
 def boxes(model, *, hexahedra=False, named=True):
@@ -66,13 +66,3 @@ def boxes(model, *, hexahedra=False, named=True):
         model.addPhysicalGroup(2, [5], 1, "ball")  # z = 0; a side may be called like a body
         model.addPhysicalGroup(2, [6, 11], 2, "between")
     model.mesh.generate(3)
-
-
-def disc(model):
-    """A quarter of the unit disc."""
-    model.occ.addDisk(0, 0, 0, 1, 1, 1)
-    model.occ.addRectangle(0, 0, 0, 2, 2, 2)
-    model.occ.intersect([(2, 1)], [(2, 2)])
-    model.occ.synchronize()
-    model.addPhysicalGroup(2, [1], 1, "disc")
-    model.mesh.generate(2)

@@ -53,47 +53,24 @@ class Radial(dm.materials.PointwiseLaw):
 
 
 @numba.njit(cache=True)
-def fill_tangent(tangent, volume, shear, b, xi):
-    """Set a tangent to volume I I + shear (unit tensors of both kinds) - b xi xi."""
-    for i in range(3):
-        for j in range(3):
-            for m in range(3):
-                for n in range(3):
-                    tangent[i, j, m, n] = -b * xi[i, j] * xi[m, n]
-    for i in range(3):
-        for j in range(3):
-            tangent[i, i, j, j] += volume
-            tangent[i, j, i, j] += shear
-            tangent[i, j, j, i] += shear
-
-
-@numba.njit(cache=True)
 def radial(strain, ep, E, nu, Y, a):
     """Return stress, tangent and plastic strain of the radial return at all points."""
-    q = len(strain)
-    stress, tangent, new = np.empty((q, 3, 3)), np.empty((q, 3, 3, 3, 3)), np.empty((q, 3, 3))
-    xi = np.empty((3, 3))
-    for k in range(q):
+    stress, new = np.empty(strain.shape), np.empty(strain.shape)
+    tangent, one = np.empty((*strain.shape, 3, 3)), np.eye(3)
+    for k in range(len(strain)):
         mu, bulk = E[k] / (2 * (1 + nu[k])), E[k] / (3 * (1 - 2 * nu[k]))
-        trace = strain[k, 0, 0] + strain[k, 1, 1] + strain[k, 2, 2]
-        size = (1e-14 * Y[k]) ** 2
-        for i in range(3):
-            for j in range(3):
-                dev = strain[k, i, j] - (trace / 3 if i == j else 0.0)
-                xi[i, j] = 2 * mu * dev - (2 * mu + a[k]) * ep[k, i, j]
-                size += xi[i, j] ** 2
-        norm = np.sqrt(size)
-        excess = norm - Y[k]
-        flows = excess > 1e-10 * Y[k]
-        g = excess / (2 * mu + a[k]) if flows else 0.0
+        trace = np.trace(strain[k])
+        dev = strain[k] - trace / 3 * one
+        xi = 2 * mu * dev - (2 * mu + a[k]) * ep[k]
+        norm = np.sqrt((xi**2).sum() + (1e-14 * Y[k]) ** 2)
+        n, flows = (xi / norm).copy().reshape(9), norm - Y[k] > 1e-10 * Y[k]
+        g = (norm - Y[k]) / (2 * mu + a[k]) if flows else 0.0
         c = 2 * mu * (1 - 2 * mu * g / norm)
-        b = 4 * mu**2 * ((1 / (2 * mu + a[k]) if flows else 0.0) - g / norm) / size
-        for i in range(3):
-            for j in range(3):
-                new[k, i, j] = ep[k, i, j] + g / norm * xi[i, j]
-                plain = 2 * mu * (strain[k, i, j] - new[k, i, j])
-                stress[k, i, j] = plain + ((bulk - 2 * mu / 3) * trace if i == j else 0.0)
-        fill_tangent(tangent[k], bulk - c / 3, c / 2, b, xi)
+        b = 4 * mu**2 * ((1 / (2 * mu + a[k]) if flows else 0.0) - g / norm)
+        new[k] = ep[k] + g / norm * xi
+        stress[k] = bulk * trace * one + 2 * mu * (dev - (ep[k] + g / norm * xi))
+        along = np.outer(n, n).reshape(3, 3, 3, 3)
+        tangent[k] = bulk * VOLUME + c * (UNIT - VOLUME / 3) - b * along
     return stress, tangent, new
 
 

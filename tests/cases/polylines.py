@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.geometry.elements import LINE2
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.facets import LINE2, Facets, facet_normals
 from tests.cases import surfaces
 from tests.cases.surfaces import Side
 
@@ -34,7 +33,4 @@ def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> SimpleNamespa
     slave, master = Side(x_s, chain(len(x_s))), Side(x_m, facets_m)
     options = {"pairs": pairs, "keep": keep, "normals": nodal_normals(x_s, slave.facets)}
     found = surfaces.assemble(slave, master, **options)
-    tributary = np.zeros(len(x_s))
-    np.add.at(tributary, slave.facets, found.points.facet_weights)
-    nodes = {"x_s": x_s, "x_m": x_m, "coverage": found.weights / tributary}
-    return SimpleNamespace(**vars(found) | nodes)
+    return SimpleNamespace(**vars(found) | {"x_s": x_s, "x_m": x_m})

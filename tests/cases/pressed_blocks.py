@@ -24,9 +24,7 @@ class PressedBlocks(TwoBodies):
         super().__init__(cell or ("triangle", "tetrahedron")[d - 2], **options)
         self.top.value[-1] = -0.01
 
-    def bc(self, tag, value=0.0):
-        """Hold a side, by default where it is."""
-        return self.held(tag, value)
+    bc = TwoBodies.held
 
     def roller(self, tag, component, value=0.0):
         return self.held(tag, value, component)

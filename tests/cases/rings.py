@@ -56,10 +56,13 @@ class Lame:
         return (1 + self.nu) / self.E * shape
 
 
-def shrink_fit_pressure(E, nu, radii, overlap):
-    """Return the pressure between two cylinders of one material, radii (inner, common, outer)."""
+def shrink_fit_pressure(E, nu, radii, overlap, outer=None):
+    """Return the pressure between two cylinders, radii (inner, common, outer).
+
+    Of one material, or of `outer` (E, nu) for the outer one.
+    """
     a, c, b = radii
-    grown = Lame(E, nu, c, b, inside=1.0).displacement(c)
+    grown = Lame(*(outer or (E, nu)), c, b, inside=1.0).displacement(c)
     shrunk = Lame(E, nu, a, c, outside=1.0).displacement(c)
     return overlap / (grown - shrunk)
 

@@ -44,9 +44,12 @@ def plane(axis: int, at: float = 0.0) -> Any:
     return lambda x: np.isclose(x[axis], at, atol=1e-9)
 
 
-def hold(V: fem.FunctionSpace, where: Any, i: int | None = None, value: Any = 0.0) -> Any:
-    """Prescribe u, or its component i, on facets, given by number or by a function of x."""
-    W, d = V if i is None else V.sub(i), V.mesh.topology.dim - 1
+def hold(V: fem.FunctionSpace, where: Any, i: Any = None, value: Any = 0.0, d: Any = None) -> Any:
+    """Prescribe u, or its component i, on facets, given by number or by a function of x.
+
+    Or on entities of another dimension d.
+    """
+    W, d = V if i is None else V.sub(i), V.mesh.topology.dim - 1 if d is None else d
     if callable(where):
         where = mesh.locate_entities_boundary(V.mesh, d, where)
     dofs = fem.locate_dofs_topological(W, d, where)

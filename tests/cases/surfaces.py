@@ -2,14 +2,14 @@
 """Surfaces of triangles or quadrilaterals without a mesh, and their operators as dense matrices."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import Delaunay
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
-from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.facets import LINE2, QUAD4, TRI3, Facets
 from dolfinx_mortar.mortar import duals
 
 Floats = npt.NDArray[np.float64]
@@ -103,25 +103,14 @@ def grid(
     return Side(points, facets.astype(np.int32))
 
 
-@dataclass(frozen=True, eq=False)
-class Operators:
-    """Dense operators of a slave and a master side."""
-
-    D: Floats  # (n_s, n_s)
-    M: Floats  # (n_s, n_m)
-    covered: Floats  # (m_s,) covered area of each slave facet
-    used: Floats  # (m_m,) area of each master facet that covers something, on the slave
-    weights: Floats  # (n_s,) int N_j over the covered part
-    master_weights: Floats  # (n_m,) int N_l over it
-    points: segments.Segments
-    x_s: Floats  # (q, 3) quadrature points on the slave side
-    x_m: Floats  # (q, 3) and on the master side
-
-
 def assemble(
     slave: Side, master: Side, *, pairs: Ints | None = None, normals=None, keep=None
-) -> Operators:
-    """Assemble D and M; all slave nodes are kept unless told otherwise."""
+) -> SimpleNamespace:
+    """Assemble D (n_s, n_s) and M (n_s, n_m); all slave nodes are kept unless told otherwise.
+
+    With them areas of facets, `covered` (m_s,) and `used` on the slave (m_m,); integrals of N over
+    the covered part, `weights` and `master_weights`; and the points with their places x_s and x_m.
+    """
     f_s, f_m = slave.geometry, master.geometry
     x_s, x_m = f_s.x, f_m.x
     n_s = np.zeros(x_s.shape) if normals is None else normals[slave.facets]
@@ -142,7 +131,7 @@ def assemble(
     weights, master_weights = np.zeros(len(slave.x)), np.zeros(len(master.x))
     np.add.at(weights, rows, p.weight[:, None] * N_s)
     np.add.at(master_weights, columns, p.weight[:, None] * N_m)
-    return Operators(
+    return SimpleNamespace(
         D=D,
         M=M,
         covered=np.bincount(p.slave, p.weight, minlength=len(x_s)),

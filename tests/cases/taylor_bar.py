@@ -34,12 +34,7 @@ def times(first):
 
 def cylinder(n, length=LENGTH, degree=1):
     """Return the displacement of a cylinder of n cells along r and z, and what holds it."""
-    return held_by_planes(rectangle([(0.0, 0.0), (RADIUS, length)], n), degree)
-
-
-def held_by_planes(domain, degree):
-    """Return a displacement, and conditions that no plane through the origin lets it through."""
-    u = create_displacement(domain, degree)
+    u = create_displacement(rectangle([(0.0, 0.0), (RADIUS, length)], n), degree)
     return u, rollers(u.function_space)
 
 

@@ -2,6 +2,7 @@
 """Surfaces of triangles with a known form, and files of them."""
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
@@ -12,18 +13,9 @@ def ball(n, radius=1.0, centre=(0.0, 0.0, 0.0)):
     zero = np.zeros((4, 1))
     p = np.concatenate([np.hstack([near, zero]), np.hstack([zero, near])])
     p = np.concatenate([p, np.stack([near[:, 1], zero[:, 0], near[:, 0]], axis=1)])
-    away = np.linalg.norm(p[:, None] - p[None], axis=2)
-    i, j, k = np.array(
-        [
-            (a, b, c)
-            for a in range(12)
-            for b in range(12)
-            for c in range(12)
-            if a == min(a, b, c) and max(away[a, b], away[b, c], away[c, a]) < 2.1
-            if np.linalg.det(p[[a, b, c]]) > 1.0
-        ]
-    ).T
-    x = np.stack([p[i], p[j], p[k]], axis=1)
+    x = p[ConvexHull(p).simplices]
+    inwards = np.linalg.det(x) < 0.0
+    x[inwards] = x[inwards][:, ::-1]
     for _ in range(n):
         a, b, c = x[:, 0], x[:, 1], x[:, 2]
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2

@@ -9,6 +9,7 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
 from tests.cases.meshes_3d import two_boxes
+from tests.cases.solid import hold
 
 COMM = MPI.COMM_WORLD
 SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
@@ -19,14 +20,7 @@ OF_SOLID = "kinematics", "strain", "volumetric", "energies"
 
 def held(V, tags, tag, value=0.0, component=None):
     """Return a condition on all components of a side, or on one of them."""
-    W = V if component is None else V.sub(component)
-    dofs = fem.locate_dofs_topological(W, tags.dim, tags.find(tag))
-    if isinstance(value, fem.Function):
-        return fem.dirichletbc(value, dofs)
-    if not isinstance(value, fem.Constant):
-        shape = (V.dofmap.index_map_bs,) if component is None else ()
-        value = fem.Constant(V.mesh, np.broadcast_to(value, shape).astype(default_scalar_type))
-    return fem.dirichletbc(value, dofs, W)
+    return hold(V, tags.find(tag), component, value, tags.dim)
 
 
 def create_problem(V, interfaces=(), bcs=(), law=ELASTIC, cells=None, **options):

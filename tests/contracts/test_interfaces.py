@@ -112,17 +112,49 @@ def test_a_walk_goes_on_from_a_checkpoint(create, folder):
 
 @KINDS
 def test_a_failed_step_leaves_all_as_it_was(create):
+    """The first one, and a later one."""
     made, other = create(), create()
-    for each in (made, other):
-        walk(each, LEVELS[:1])
     problem, _, go = made
-    before = shown(made)
-    go(AMOUNTS[0.5])
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, max_it=1, rtol=1e-12)
-    go(AMOUNTS[0.25])
-    assert np.array_equal(shown(made), before)
-    agree(walk(made, LEVELS[1:]), walk(other, LEVELS[1:]))
+    for level in LEVELS[:2]:
+        before = problem.committed.begun and shown(made)
+        go(AMOUNTS[0.5])
+        with pytest.raises(dm.NewtonNotConverged):
+            dm.newton(problem, max_it=1, rtol=1e-12)
+        go(AMOUNTS[0.25])
+        assert not problem.committed.begun or np.array_equal(shown(made), before)
+        agree(walk(made, [level]), walk(other, [level]))
+    agree(walk(made, LEVELS[2:]), walk(other, LEVELS[2:]))
+
+
+@KINDS
+def test_looks_change_nothing(create):
+    """Audits, results, reports, tries that are taken back, edits: to the last bit."""
+    looked, plain = create(), create()
+    for made in (looked, plain):
+        problem, interface, go = made
+        for level in LEVELS:
+            before = problem.u.x.array.copy()
+            if made is looked:
+                assert str(problem.audit()) and problem.output_fields()
+                go(0.9 * AMOUNTS[level])
+                report = dm.newton(problem, rtol=1e-3)
+                assert repr(report) and str(report.certificate) and report.as_dict()
+                assert dm.reaction(problem).force.any()
+                if create is not rigid_side:
+                    interface.gather(problem.u)
+                problem.u.x.array[:] = before
+            go(AMOUNTS[level])
+            dm.newton(problem, rtol=1e-9)
+            fields = [] if create is rigid_side else interface.nodal.values()
+            kept = [(f, f.x.array.copy()) for f in fields if made is looked]
+            for f, _ in kept:
+                f.x.array[:] = 7.0
+            problem.commit()
+            for f, values in kept:
+                f.x.array[:] = values
+    if COMM.size == 1 and create in (contact, obstacle, own):  # others start where they were led
+        assert np.array_equal(shown(looked), shown(plain))
+    agree(shown(looked), shown(plain))
 
 
 @KINDS

@@ -59,10 +59,8 @@ def quartic(u, x, n, ds):
 
 SHAPES = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 CASES = {
-    "springs": (potential(lambda u, x, n, ds: 3.5 * ufl.inner(u, u) * ds(1)), 2, {}, True),
     "weighted": (potential(lambda u, x, n, ds: x[0] * u[0] ** 2 * ds(1, degree=4)), 3, {}, True),
     "dead": (potential(lambda u, x, n, ds: -3.0 * ufl.inner(u, n) * ds(2)), 3, {}, True),
-    "hardening": (potential(quartic), 3, {}, False),
     "both": (
         potential(lambda u, x, n, ds: ufl.exp(u[0]) * ds(1) + u[1] ** 2 * ufl.dx),
         2,

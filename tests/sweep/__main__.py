@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The command line: solve a range of random problems and print what came of them."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -13,12 +11,12 @@ from pathlib import Path
 
 from tests.sweep.draws import KINDS
 from tests.sweep.problems import COMM
-from tests.sweep.run import LARGE, LIMIT_LOAD, TANGLED, Outcome, run
+from tests.sweep.run import LARGE, LIMIT_LOAD, TANGLED, run
 
 RESIDUALS = ("equilibrium", "gap", "sign", "complementarity", "force", "limit", "slip", "status")
 
 
-def seeds(text: str) -> range:
+def seeds(text):
     """Return the seeds of "first:end" (without the end), or of one number.
 
     >>> seeds("3:5"), seeds("7")
@@ -28,7 +26,7 @@ def seeds(text: str) -> range:
     return range(int(first), int(end) if colon else int(first) + 1)
 
 
-def table(outcomes: list[Outcome]) -> str:
+def table(outcomes):
     """Return one line per kind of problem, and one per failure."""
     lines = [
         "kind     seeds  failed  limit loads  beyond small strain  tangled  cuts  "
@@ -55,7 +53,7 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments=None):
     """Run the sweep; return 1 if any problem failed without an excuse."""
     parser = argparse.ArgumentParser(prog="tests.sweep", description=__doc__)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))

@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: MIT
 """From the data of a random problem to the problem itself, by the public API."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from tests.cases.block_piles import ABOVE, BELOW, WEST, Blocks
 from tests.cases.meshes_3d import two_boxes
-from tests.sweep.draws import Draw, draw
+from tests.sweep.draws import draw
 
 COMM = MPI.COMM_WORLD
 
@@ -25,7 +22,7 @@ COMM = MPI.COMM_WORLD
 class RandomProblem:
     """A problem with its load levels, and what is needed to check it from outside."""
 
-    data: Draw
+    data: dict
     problem: dm.ContactProblem
     cell_tags: mesh.MeshTags
     facet_tags: mesh.MeshTags
@@ -36,24 +33,24 @@ class RandomProblem:
     limit: fem.Function | None = None  # of friction, on the nodes of the pressure
 
     @property
-    def levels(self) -> npt.NDArray[np.float64]:
+    def levels(self):
         """Equal load steps up to the depth."""
         steps = self.data["steps"]
         return np.asarray(self.data["depth"] * np.arange(1, steps + 1) / steps)
 
 
-def create(kind: str, seed: int, surface: str = "facets") -> RandomProblem:
+def create(kind, seed, surface="facets"):
     """Return a random problem; collective."""
     return KINDS[kind](draw(kind, seed) | {"surface": surface})
 
 
-def _hertz(data: Draw) -> RandomProblem:
+def _hertz(data):
     m = dm.meshing.hertz(COMM, **data["mesh"])
     return _two_bodies(data, *m)
 
 
-def _boxes3(data: Draw) -> RandomProblem:
-    def wavy(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _boxes3(data):
+    def wavy(x):
         x = x.copy()
         x[:, 2] += data["wave"] * np.sin(3 * x[:, 0]) * np.cos(2 * x[:, 1])
         return x
@@ -61,9 +58,7 @@ def _boxes3(data: Draw) -> RandomProblem:
     return _two_bodies(data, *two_boxes(COMM, transform=wavy, **data["mesh"]))
 
 
-def _two_bodies(
-    data: Draw, domain: mesh.Mesh, cell_tags: mesh.MeshTags, facet_tags: mesh.MeshTags
-) -> RandomProblem:
+def _two_bodies(data, domain, cell_tags, facet_tags):
     """Clamp tag 1, push tag 2 down and aside, and turn it; contact is between tags 3 and 4."""
     d = domain.geometry.dim
     V = fem.functionspace(domain, ("Lagrange", data.get("degree", 1), (d,)))
@@ -81,7 +76,7 @@ def _two_bodies(
     direction = np.array([tilt, -1.0] if d == 2 else [tilt, -tilt / 2, -1.0])
     aside = 0.0 if data.get("kinematics") == "axisymmetric" else 1.0
 
-    def on_time(t: float) -> None:
+    def on_time(t):
         values[1].value[:] = t * direction
         if path is not None:
             ends, now = np.arange(len(path) + 1), t / data["depth"] * len(path)
@@ -98,7 +93,7 @@ def _two_bodies(
     return _with_contact(data, fem.Function(V), (cell_tags, facet_tags), bcs, on_time)
 
 
-def _sphere(data: Draw) -> RandomProblem:
+def _sphere(data):
     """Clamp the block's bottom, push the flat face down; two planes of symmetry."""
     m = dm.meshing.sphere(COMM, **data["mesh"])
     V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
@@ -110,19 +105,19 @@ def _sphere(data: Draw) -> RandomProblem:
             dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
             bcs.append(fem.dirichletbc(top if (tag, i) == (2, 2) else rest, dofs, W))
 
-    def on_time(t: float) -> None:
+    def on_time(t):
         top.value = -t
 
     return _with_contact(data, fem.Function(V), (m.cell_tags, m.facet_tags), bcs, on_time)
 
 
 def _with_contact(
-    data: Draw,
-    u: fem.Function,
-    tags: tuple[mesh.MeshTags, mesh.MeshTags],
-    bcs: list[fem.DirichletBC],
-    on_time: Callable[[float], None],
-) -> RandomProblem:
+    data,
+    u,
+    tags,
+    bcs,
+    on_time,
+):
     """Put one contact between the facet tags 3 and 4."""
     sides = (data["slave"], 7 - data["slave"])
     law, limit = _law_of_friction(data, u.function_space)
@@ -141,7 +136,7 @@ def _with_contact(
     )
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
 
-    def press_and_heat(t: float) -> None:
+    def press_and_heat(t):
         on_time(t)
         for tag, strain in hot.items():
             heat[tag].value = strain * t / data["depth"]
@@ -149,9 +144,7 @@ def _with_contact(
     return RandomProblem(data, problem, *tags, [sides], bcs, None, press_and_heat, limit)
 
 
-def _law_of_friction(
-    data: Draw, V: fem.FunctionSpace
-) -> tuple[dict[str, float | fem.Constant | fem.Function], fem.Function | None]:
+def _law_of_friction(data, V):
     """Return the argument of the contact, and its values at the nodes; nothing without friction."""
     if "law" not in data:
         return {}, None
@@ -163,7 +156,7 @@ def _law_of_friction(
     return {name: arguments[given]}, limit
 
 
-def _pile(data: Draw) -> RandomProblem:
+def _pile(data):
     """Clamp the lowest block, hold the others at their left sides, load the uppermost one."""
     b = Blocks(data["boxes"], cell=data["cell"])
     height, number = data["wave"]
@@ -187,7 +180,7 @@ def _pile(data: Draw) -> RandomProblem:
         loads = ufl.inner(value, ufl.TestFunction(b.V)) * ds(10 * count + ABOVE)
     unit = _pile_load(data)
 
-    def on_time(t: float) -> None:
+    def on_time(t):
         value.value[:] = t * unit
 
     solid = dm.Solid(b.u, data["laws"], b.cells)
@@ -195,7 +188,7 @@ def _pile(data: Draw) -> RandomProblem:
     return RandomProblem(data, problem, b.cells, b.facets, sides, bcs, loads, on_time)
 
 
-def _pile_load(data: Draw) -> npt.NDArray[np.float64]:
+def _pile_load(data):
     """Return the displacement or traction per level; a displacement closes the gaps, too."""
     if data["load"] == "disp":
         open_gaps = sum(gap for gap in data["gaps"] if gap > 0)

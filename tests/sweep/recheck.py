@@ -5,21 +5,16 @@ Except for the heights of smooth surfaces over facets, which the gap is measured
 normals, of which those on planes of symmetry depend on supports.
 """
 
-from __future__ import annotations
-
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, la
+from tests.cases.solid import largest
 from tests.sweep import slips
-from tests.sweep.problems import RandomProblem
 
-Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
 ON_AXIS = 1e-12  # of the coordinates
 LEAST_NORMAL = 0.1
@@ -32,9 +27,7 @@ SYMMETRIC = {2: [[0, 3], [3, 1]], 3: [[0, 3, 5], [3, 1, 4], [5, 4, 2]]}
 """Where the components of a tensor stand among those of ``solid.stress``."""
 
 
-def residuals(
-    case: RandomProblem, before: Floats | None = None, begun: float = 0.0
-) -> dict[str, float]:
+def residuals(case, before=None, begun=0.0):
     """Return what a committed step leaves, each on its own scale; collective.
 
     "equilibrium": forces on free unknowns over the largest force; "gap": deepest overlap over the
@@ -45,85 +38,79 @@ def residuals(
     Args:
         case: the problem.
         before: owned displacements that the step started from; slips are read off the contact if
-            they are not known.
+            they are not known, or the geometry is updated.
         begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
-    comm = case.problem.V.mesh.comm
     internal, external = _stress_forces(case), _loads(case)
     free = ~_fixed(case)
     contact_forces = np.zeros_like(internal)
-    found: dict[str, float] = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
+    found = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
     for contact, sides in zip(case.problem.contacts, case.sides, strict=True):
         forces, worst = _contact(case, contact, sides, free, before, begun)
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
-    sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
-    sizes += [begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case)]
-    rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
-    scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
-    return {"equilibrium": rest / max(scale, TINY)} | found
+    scale = max(map(largest, (internal, external, contact_forces)))
+    scale = max(scale, begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case), TINY)
+    rest = largest((internal + contact_forces - external)[free])
+    return {"equilibrium": rest / scale} | found
 
 
-def _stiffest(case: RandomProblem) -> float:
+def _stiffest(case):
     return max(map(_modulus, case.data["laws"].values()))
 
 
-def _modulus(law: object) -> float:
+def _modulus(law):
     """Return Young's modulus of a law, the largest or about that."""
     for name in ("E", "E1", "K"):
         if hasattr(law, name):
-            return float(getattr(law, name))
+            return getattr(law, name)
     raise AssertionError(f"{law!r} has no modulus")
 
 
-def largest_force(case: RandomProblem) -> float:
+def largest_force(case):
     """Return the largest force of the stress on an unknown; collective."""
-    local = float(np.abs(_stress_forces(case)).max(initial=0.0))
-    return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
+    return largest(_stress_forces(case))
 
 
-def _length(case: RandomProblem) -> float:
+def _length(case):
     """Return the largest circumference of rings, 1 of others; collective.
 
     Forces of rings are those of the whole circumference, of plane problems per thickness: modulus
     times displacement is a force of the latter only.
     """
-    mesh = case.problem.V.mesh
-    largest = 2 * np.pi * float(mesh.geometry.x[:, 0].max(initial=0.0)) if is_ring(case) else 1.0
-    return float(mesh.comm.allreduce(largest, op=MPI.MAX))
+    x = case.problem.V.mesh.geometry.x
+    return 2 * np.pi * largest(x[:, 0]) if is_ring(case) else 1.0
 
 
-def _travel(case: RandomProblem) -> float:
+def _travel(case):
     """Return the largest displacement, at most the size of the mesh.
 
     It makes a scale for steps without forces. A body that has flown away must not make a larger one
     and so excuse whatever force is left.
     """
-    mesh = case.problem.V.mesh
-    local = (np.abs(case.problem.u.x.array), np.abs(mesh.geometry.x))
-    return min(mesh.comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local)
+    return min(map(largest, (case.problem.u.x.array, case.problem.V.mesh.geometry.x)))
 
 
-def _owned(case: RandomProblem) -> int:
+def _owned(case):
     layout = case.problem.V.dofmap.index_map
     return case.problem.V.dofmap.index_map_bs * layout.size_local
 
 
-def _assembled(case: RandomProblem, form: ufl.Form) -> Floats:
+def _assembled(case, form):
     """Return the owned entries of a linear form."""
     vector = fem.assemble_vector(fem.form(form))
     vector.scatter_reverse(la.InsertMode.add)
     return np.array(vector.array[: _owned(case)])
 
 
-def stress_tensor(case: RandomProblem) -> ufl.core.expr.Expr:
+def stress_tensor(case):
     """Return the part of solid.stress that works on the displacement, (d, d)."""
     s = case.problem.solid.stress
     places = SYMMETRIC[case.problem.V.mesh.geometry.dim]
     return ufl.as_tensor([[s[k] for k in row] for row in places])
 
 
-def at_points(case: RandomProblem) -> ufl.Measure:
+def at_points(case):
     """Return the measure of the points at which the stress is known, by cell tags."""
     degree = case.problem.solid.quadrature_degree
     rule = {"quadrature_degree": degree, "quadrature_scheme": "default"}
@@ -131,7 +118,7 @@ def at_points(case: RandomProblem) -> ufl.Measure:
     return ufl.Measure("dx", mesh, metadata=rule, subdomain_data=case.cell_tags)
 
 
-def _stress_forces(case: RandomProblem) -> Floats:
+def _stress_forces(case):
     u, v = case.problem.u, ufl.TestFunction(case.problem.V)
     r = ufl.SpatialCoordinate(case.problem.V.mesh)[0]
     F, hoop, J = ufl.Identity(case.problem.d), 1.0, 1.0
@@ -145,25 +132,25 @@ def _stress_forces(case: RandomProblem) -> Floats:
     return _assembled(case, work * at_points(case))
 
 
-def is_finite(case: RandomProblem) -> bool:
+def is_finite(case):
     """Tell whether the strains are finite."""
     return case.problem.solid.strain == "finite"
 
 
-def is_ring(case: RandomProblem) -> bool:
+def is_ring(case):
     """Tell whether the bodies are axisymmetric."""
     return case.data.get("kinematics") == "axisymmetric"
 
 
-def _circumference(x: Floats) -> Floats:
+def _circumference(x):
     return 2 * np.pi * x[:, 0]
 
 
-def _loads(case: RandomProblem) -> Floats:
+def _loads(case):
     return np.zeros(_owned(case)) if case.loads is None else _assembled(case, case.loads)
 
 
-def _fixed(case: RandomProblem) -> npt.NDArray[np.bool_]:
+def _fixed(case):
     """Return which owned unknowns have Dirichlet data."""
     V = case.problem.V
     marks = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
@@ -171,17 +158,17 @@ def _fixed(case: RandomProblem) -> npt.NDArray[np.bool_]:
     for bc in case.bcs:
         marks.array[bc.dof_indices()[0]] = 1.0
     marks.scatter_reverse(la.InsertMode.add)
-    return np.asarray(marks.array[: _owned(case)] > 0.0)
+    return marks.array[: _owned(case)] > 0.0
 
 
 def _contact(
-    case: RandomProblem,
-    contact: dm.Contact,
-    sides: tuple[int, int],
-    free: npt.NDArray[np.bool_],
-    before: Floats | None,
-    begun: float,
-) -> tuple[Floats, dict[str, float]]:
+    case,
+    contact,
+    sides,
+    free,
+    before,
+    begun,
+):
     """Return the forces of a contact on the unknowns, and what is wrong with it."""
     problem = case.problem
     V, d = problem.V, problem.V.mesh.geometry.dim
@@ -213,17 +200,15 @@ def _contact(
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
     if case.limit is not None:
-        # in space the slave side carries what is apart along it when it spins about its normal, so
-        # that slips are objective: there they are read off the contact
-        way, spins = None, d > 2 and case.problem.geometry == "updated"
-        if before is not None and not spins:
+        # with updated geometry the slave side carries along what is apart when it turns, so that
+        # slips are objective: there they are read off the contact
+        way = None
+        if before is not None and case.problem.geometry == "reference":
             moved = case.problem.u.x.array[: _owned(case)] - before
-            plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
-            way = _way(case, contact, sides, before, nodes, plain, normals)
+            way = _apply(B, moved).reshape(-1, d) / weight[:, None]
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
-        largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
-        worst |= slips.residuals(contact, at, way, travel, floor, begun / largest)
+        worst |= slips.residuals(contact, at, way, travel, floor, begun / largest(weight))
     resultant = -_apply(mortar.D, tractions, transposed=True).reshape(-1, d).sum(axis=0)
     total = V.mesh.comm.allreduce(resultant, op=MPI.SUM)
     size = max(np.abs(total).max(), np.abs(contact.force).max(), TINY)
@@ -231,7 +216,7 @@ def _contact(
     return _apply(B, tractions, transposed=True), worst | {"force": force}
 
 
-def _growth(case: RandomProblem, contact: dm.Contact, nodes: npt.NDArray[np.int64]) -> Floats:
+def _growth(case, contact, nodes):
     """Return how much longer the circumference is than at X, 1 for held geometry; see D's weight.
 
     On the axis it is that of the nearest slave node.
@@ -243,95 +228,17 @@ def _growth(case: RandomProblem, contact: dm.Contact, nodes: npt.NDArray[np.int6
     off = np.flatnonzero(X[:, 0] > ON_AXIS * np.abs(X).max())
     own = case.problem.V.tabulate_dof_coordinates()[nodes, :2]
     nearest = off[[np.argmin(((X[off] - at) ** 2).sum(axis=1)) for at in own]]
-    return np.asarray(x[nearest] / X[nearest, 0])
+    return x[nearest] / X[nearest, 0]
 
 
-def _travel_of(case: RandomProblem, before: Floats | None) -> float:
+def _travel_of(case, before):
     """Return the largest motion of a node in the step, or a hundredth of all until now."""
     u = case.problem.u.x.array[: _owned(case)]
-    step = 0.0 if before is None else np.abs(u - before).max(initial=0.0)
-    local = max(float(step), LEAST_STEP * float(np.abs(u).max(initial=0.0)))
-    return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
+    step = 0.0 if before is None else largest(u - before)
+    return max(step, LEAST_STEP * largest(u))
 
 
-def _way(
-    case: RandomProblem,
-    contact: dm.Contact,
-    sides: tuple[int, int],
-    before: Floats,
-    at: npt.NDArray[np.int64],
-    plain: Floats,
-    normals: Floats,
-) -> Floats:
-    """Return by how much slave nodes (n, d) have moved relative to the master in the step.
-
-    With updated geometry to those points of the master that they faced before the step; those that
-    faced none, in the first step to those where the supports had moved the upper body as a whole.
-    What was apart then turns with the normal, to ``normals``. Nodes ``at`` that faced none either
-    have moved as in the present configuration, ``plain``.
-    """
-    problem, V = case.problem, case.problem.V
-    d, own = V.mesh.geometry.dim, _owned(case)
-    u = problem.u.x.array[:own]
-    if problem.geometry == "reference":
-        return plain
-    held = case.bcs[1].dof_indices()[0]
-    held = held[held < own]
-    asked = (u - before)[held].reshape(-1, d)
-    shift = V.mesh.comm.allreduce(asked.sum(axis=0), op=MPI.SUM)
-    shift /= V.mesh.comm.allreduce(len(asked), op=MPI.SUM)
-    first = not V.mesh.comm.allreduce(float(np.abs(before).max(initial=0.0)), op=MPI.MAX)
-    way = np.full((problem.n, d), np.nan)
-    for moved in (0.0, shift) if first else (0.0,):
-        begin = fem.Function(V)
-        begin.x.array[:own] = before
-        begin.x.scatter_forward()
-        begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
-        there = _way_from(case, contact, sides, begin, before, at, normals)
-        way = np.where(np.isnan(way), there, way)
-    return np.where(np.isnan(way[at]), plain, way[at])
-
-
-def _way_from(
-    case: RandomProblem,
-    contact: dm.Contact,
-    sides: tuple[int, int],
-    begin: fem.Function,
-    before: Floats,
-    at: npt.NDArray[np.int64],
-    turned: Floats,
-) -> Floats:
-    """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
-    problem, V, own = case.problem, case.problem.V, _owned(case)
-    d, u = V.mesh.geometry.dim, case.problem.u.x.array[:own]
-    ring = _circumference if is_ring(case) else None
-    pair = {"slave": sides[0], "master": sides[1], "feature_angle": contact.feature_angle}
-    mortar = dm.assemble_mortar(V, case.facet_tags, u=begin, weight=ring, **pair)
-    nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
-    B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
-    normals, present = _normals_at(case, contact, begin)[nodes], np.zeros((problem.n, d))
-    present[at] = turned
-    present = present[nodes]
-    X = _current(case) - u
-    now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
-    then -= normals * (normals * then).sum(axis=1, keepdims=True)
-    room = 1.0 + (normals * present).sum(axis=1, keepdims=True)
-    then -= (then * present).sum(axis=1, keepdims=True) / room * (normals + present)
-    way = np.full((problem.n, d), np.nan)
-    way[nodes] = now - then
-    return way
-
-
-def _normals_at(case: RandomProblem, contact: dm.Contact, u: fem.Function) -> Floats:
-    """Return the normals of a contact (owned nodes, d) at X + u."""
-    link = case.problem.system.link(contact)
-    found = contact.pair(link.sides, u, again=True)
-    normals = np.zeros((case.problem.n, u.function_space.mesh.geometry.dim))
-    normals[link.nodes] = contact.couple(link.sides, *found, link.banned, u).normals
-    return normals
-
-
-def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
+def _heights(case, contact):
     """Return int Phi_j (h_s + h_m), by which smooth surfaces are nearer, at the owned nodes."""
     result = np.zeros(case.problem.n)
     for link in case.problem.system.links:
@@ -340,9 +247,7 @@ def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
     return result
 
 
-def _complementarity(
-    comm: MPI.Comm, pressure: Floats, gap: Floats, size: Floats, d: int, floor: float
-) -> dict[str, float]:
+def _complementarity(comm, pressure, gap, size, d, floor):
     """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0.
 
     The sizes are those of what belongs to the nodes, lengths or areas; the floor is a pressure.
@@ -350,25 +255,25 @@ def _complementarity(
     sizes = np.concatenate(comm.allgather(size))
     facet = float(np.median(sizes)) ** (1.0 / (d - 1)) if len(sizes) else 1.0
     local = (np.abs(pressure), -gap, -pressure, np.abs(pressure * gap))
-    largest, deepest, tension, product = (
+    most, deepest, tension, product = (
         comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local
     )
-    largest = max(largest, floor)
+    most = max(most, floor)
     return {
         "gap": deepest / facet,
-        "sign": tension / largest,
-        "complementarity": product / (largest * facet),
+        "sign": tension / most,
+        "complementarity": product / (most * facet),
     }
 
 
-def _current(case: RandomProblem) -> Floats:
+def _current(case):
     """Return X + u of the owned unknowns."""
     V, own = case.problem.V, _owned(case)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim].ravel()
-    return np.asarray(X[:own] + case.problem.u.x.array[:own])
+    return X[:own] + case.problem.u.x.array[:own]
 
 
-def _apply(A: PETSc.Mat, x: Floats, *, transposed: bool = False) -> Floats:
+def _apply(A, x, *, transposed=False):
     """Return the owned entries of A x or A^T x; collective."""
     right, left = A.createVecs()
     given, result = (left, right) if transposed else (right, left)
@@ -377,8 +282,8 @@ def _apply(A: PETSc.Mat, x: Floats, *, transposed: bool = False) -> Floats:
     return np.array(result.array_r)
 
 
-def _row_norms(A: PETSc.Mat) -> Floats:
+def _row_norms(A):
     """Return the Euclidean norms of the owned rows."""
     start, _, values = A.getValuesCSR()
     rows = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    return np.asarray(np.sqrt(np.bincount(rows, values**2, minlength=len(start) - 1)))
+    return np.sqrt(np.bincount(rows, values**2, minlength=len(start) - 1))

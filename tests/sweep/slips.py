@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Does a step obey the law of friction? Judged from tractions, pressures and displacements."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
-import dolfinx_mortar as dm
-
-Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
 LEAST_LIMIT = 1e-1
 """The scale of tangential tractions is the largest limit, or this share of the largest pressure.
@@ -26,17 +20,15 @@ a correct step is off by 1e-4 of mu p (seed 1). The check's 1e-4 of this scale a
 class Nodes:
     """The owned slave nodes as the check has found them."""
 
-    nodes: npt.NDArray[np.int64]  # (n,)
-    normals: Floats  # (n, d)
-    loose: npt.NDArray[np.bool_]  # (n, d) directions without Dirichlet data
-    acts: npt.NDArray[np.bool_]  # (n,) where contact can act
-    pressure: Floats  # (n,)
-    value: Floats  # (n,) mu or s
+    nodes: np.ndarray  # (n,)
+    normals: np.ndarray  # (n, d)
+    loose: np.ndarray  # (n, d) directions without Dirichlet data
+    acts: np.ndarray  # (n,) where contact can act
+    pressure: np.ndarray  # (n,)
+    value: np.ndarray  # (n,) mu or s
 
 
-def residuals(
-    contact: dm.Contact, at: Nodes, way: Floats | None, travel: float, floor: float, begun: float
-) -> dict[str, float]:
+def residuals(contact, at, way, travel, floor, begun):
     """Return what a committed step leaves of the law |tau| <= s, slip against tau; collective.
 
     Coulomb's s is mu p; Tresca's acts wherever a node faces the master.
@@ -89,7 +81,7 @@ def residuals(
     }
 
 
-def _tangential(way: Floats, normals: Floats, loose: npt.NDArray[np.bool_]) -> Floats:
+def _tangential(way, normals, loose):
     """Return the part along the surface and normal to prescribed directions."""
     along = way - normals * (normals * way).sum(axis=1, keepdims=True)
     for k in np.flatnonzero(~loose.all(axis=1)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Von Mises plasticity: kinematic (Prager) and isotropic hardening, linear or saturating (Voce)."""
+"""Plasticity of von Mises (hardening by Prager, linear, by Voce) and of Drucker and Prager."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 import ufl
+from dolfinx_mortar.common.arguments import check, one_of
 from dolfinx_mortar.common.arrays import EPS
-from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
+from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,
     CheckedLaw,
@@ -26,8 +27,6 @@ from ufl.core.expr import Expr
 
 # Dead band of yielding: round-off up to 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
-LEAST_RATIO = -0.9
-"""Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
 ACCUMULATED = "accumulated_plastic_strain"
 
 
@@ -111,25 +110,6 @@ class RadialReturn(CheckedLaw):
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
-def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
-    """Root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
-
-    Three steps of Halley's method reach round-off for p, q in [0, 1e6], .0175 <= r <= 1: with N^2
-    the left side, 1/N is concave.
-    """
-    first = ufl.sqrt(p**2 + q**2)
-    both, from_p = first - 1, (p - 1) / r
-    t = ufl.conditional(ufl.gt(from_p, both), from_p, both)
-    for _ in range(3):
-        shared = 1 / ((1 + r * t) * (1 + t))
-        u, v = (1 + t) * shared, (1 + r * t) * shared
-        a, b, ru = (p * u) ** 2, (q * v) ** 2, r * u
-        square, one, two = a + b, a * ru + b * v, a * ru**2 + b * v**2
-        excess = ufl.sqrt(square) - 1
-        t += excess * square * one / (one**2 - 1.5 * excess * (two * square - one**2))
-    return ufl.conditional(ufl.gt(both, YIELD_TOLERANCE), t, 0.0)
-
-
 @dataclass(frozen=True)
 class VonMises(RadialReturn):
     """Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
@@ -172,12 +152,6 @@ class VonMises(RadialReturn):
         """Plastic strain, k with isotropic hardening."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
-
-    @property
-    def normal_strain(self) -> Callable[..., Expr] | None:
-        """Closed form of z in plane stress, for a constant nu above -0.9."""
-        exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
-        return self._normal_strain if exact else None
 
     @classmethod
     def from_uniaxial(
@@ -224,24 +198,6 @@ class VonMises(RadialReturn):
     @staticmethod
     def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
         return H / 2 * k**2
-
-    @staticmethod
-    def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
-        ep, (k, H) = state[PLASTIC], _memory(state, p)
-        e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
-        S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]
-        D = 2 * mu * (e[0, 0] - e[1, 1]) - p.a * (ep[0, 0] - ep[1, 1])
-        T = 2 * mu * e[0, 1] - p.a * ep[0, 1]
-        radius = p.Y + H * k
-        rate_S, rate_D = bulk / 3 + p.a + H, 2 * mu + p.a + H
-        r = rate_S / rate_D
-        sum_part, other = abs(S) / (math.sqrt(6) * radius), ufl.sqrt(D**2 / 2 + 2 * T**2) / radius
-        t = flow_in_plane_stress(sum_part, other, r)
-        phi, fallen = t / rate_D, S / (1 + r * t)
-        plastic = ep[2, 2] - phi * fallen / 3
-        stress = (1 + H * phi) * fallen - 3 * p.a * plastic  # xx + yy
-        return plastic - p.nu / p.E * stress
 
 
 # Below it exp(3 y) is round-off, and three terms of the series of omega are exact.
@@ -365,3 +321,123 @@ class VonMisesVoce(RadialReturn):
     @staticmethod
     def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
         return H / 2 * k**2 + p.Q * (k + (ufl.exp(-p.b * k) - 1) / p.b)
+
+
+@dataclass(frozen=True)
+class DruckerPrager(CheckedLaw):
+    """Small-strain associated perfect plasticity in the cone of Drucker and Prager.
+
+        |dev sigma| + beta p <= Y,      p = tr(sigma) / 3 (tension positive), apex at p = Y / beta
+
+    With e = eps - ep_n, trial stress s + p I = C e, yield function f = |s| + beta p - Y and bulk
+    modulus K, the return mapping is the closest-point projection in the elastic energy:
+
+        cone  g = f / (2 mu + K beta^2),   sigma = (p - K beta g) I + (1 - 2 mu g / |s|) s
+        apex  sigma = Y / beta I,          where 2 mu g > |s|
+        ep = ep_n + g (s / |s| + beta/3 I)  or  eps - C^-1 sigma.
+
+    The stress is the gradient of the incremental potential
+
+        psi = 1/2 e:C:e - f^2 / (2 (2 mu + K beta^2))      on the cone
+        psi = Y / beta tr e - (Y / beta)^2 / (2 K)          at the apex.
+
+    Plastic flow dilates: tr dep = beta |dev dep|. Without hardening there are limit loads; a body
+    with all points at the apex has no stiffness.
+
+    Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; E. A. de Souza Neto, D.
+    Peric, D. R. J. Owen, Computational Methods for Plasticity (2008), section 8.3.
+
+    Raises:
+        ValueError: naming a parameter that is out of its range.
+    """
+
+    E: Parameter  # Young's modulus
+    nu: Parameter  # Poisson's ratio
+    Y: Parameter  # radius of the cone without pressure, Frobenius norm
+    beta: Parameter  # growth of the radius per pressure
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {"plastic_strain": (3, 3)}
+    isotropic: ClassVar[bool] = True
+    ranges: ClassVar[Mapping[str, Range]] = {
+        **Elastic.ranges,
+        "Y": (0.0, math.inf, False),
+        "beta": (0.0, math.inf, False),
+    }
+    elastic_stress = staticmethod(Elastic.elastic_stress)
+
+    @classmethod
+    def from_mohr_coulomb(
+        cls, E: Parameter, nu: Parameter, cohesion: float, friction_angle: float, match: str
+    ) -> DruckerPrager:
+        """Create the law from cohesion and angle of friction.
+
+        `match` is where the cone meets the pyramid of Mohr and Coulomb:
+
+        * "compression": triaxial compression, the outer edges (the largest cone);
+        * "extension": triaxial extension, the inner edges;
+        * "plane strain": collapse in plane strain with associated flow (the inscribed cone).
+
+        Args:
+            cohesion: shear stress at failure without normal stress.
+            friction_angle: in degrees, between 0 and 90.
+            match: see above.
+
+        Raises:
+            ValueError: for other values, naming the argument.
+        """
+        check_parameters(
+            "DruckerPrager.from_mohr_coulomb",
+            cohesion=(cohesion, 0.0, math.inf, False),
+            friction_angle=(friction_angle, 0.0, 90.0, False),
+        )
+        sine, cosine = (f(math.radians(friction_angle)) for f in (math.sin, math.cos))
+        scales = {
+            "compression": 6 / (math.sqrt(3) * (3 - sine)),
+            "extension": 6 / (math.sqrt(3) * (3 + sine)),
+            "plane strain": 3 / math.sqrt(9 * cosine**2 + 12 * sine**2),
+        }
+        check("DruckerPrager.from_mohr_coulomb: match", match, one_of(*scales))
+        scale = math.sqrt(2) * scales[match]
+        return cls(E, nu, scale * cosine * cohesion, scale * sine)
+
+    @staticmethod
+    def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, ...]:
+        """Return s, |s|, p, |dev dep| on the cone, and whether to return, and to the apex."""
+        elastic = strain - state["plastic_strain"]
+        mu, K = shear_modulus(p), bulk_modulus(p)
+        s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)
+        norm = ufl.sqrt(ufl.inner(s, s) + (EPS * p.Y) ** 2)
+        excess = norm + p.beta * mean - p.Y
+        g = excess / (2 * mu + K * p.beta**2)
+        return s, norm, mean, g, ufl.gt(excess, YIELD_TOLERANCE * p.Y), ufl.gt(2 * mu * g, norm)
+
+    @staticmethod
+    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return psi."""
+        *_, g, yields, to_apex = DruckerPrager._return(strain, state, p)
+        elastic, K = strain - state["plastic_strain"], bulk_modulus(p)
+        stored = Elastic.energy(elastic, {}, p)
+        cone = stored - g**2 * (2 * shear_modulus(p) + K * p.beta**2) / 2
+        apex = p.Y / p.beta * (ufl.tr(elastic) - p.Y / (2 * p.beta * K))
+        return ufl.conditional(yields, ufl.conditional(to_apex, apex, cone), stored)
+
+    @staticmethod
+    def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return sigma."""
+        s, norm, mean, g, yields, to_apex = DruckerPrager._return(strain, state, p)
+        g, to_apex = ufl.conditional(yields, g, 0.0), ufl.And(yields, to_apex)
+        shrunk = ufl.conditional(to_apex, 0.0, 1 - 2 * shear_modulus(p) * g / norm)
+        mean = ufl.conditional(to_apex, p.Y / p.beta, mean - bulk_modulus(p) * p.beta * g)
+        return mean * ufl.Identity(3) + shrunk * s
+
+    @staticmethod
+    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
+        """Return ep = eps - C^-1 sigma."""
+        sigma, yields = (
+            DruckerPrager.stress(strain, state, p),
+            DruckerPrager._return(strain, state, p)[4],
+        )
+        elastic = ufl.dev(sigma) / (2 * shear_modulus(p))
+        elastic += ufl.tr(sigma) / (9 * bulk_modulus(p)) * ufl.Identity(3)
+        old = state["plastic_strain"]
+        return {"plastic_strain": ufl.conditional(yields, strain - elastic, old)}
