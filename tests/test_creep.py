@@ -97,6 +97,16 @@ def test_parts_of_steps_have_their_own_length():
     assert last.time == 1.0 and seen[0] == 1.0 and set(seen[1:]) == {0.5}
 
 
+def test_a_step_length_that_no_law_reads():
+    """The law would keep the length that its own Constant has."""
+    case, dt, problem = bolt(lambda dt: Norton(E, NU, A, N, dt))
+    other = fem.Constant(case.mesh, default_scalar_type(0.0))
+    for given, told in ((dt, False), (other, True)):
+        *_, last = dm.load_steps(problem, [1.0], start=0.0, dt=given)
+        notes = [note for note in last.report.notes if note.startswith("dt is for a Constant")]
+        assert bool(notes) == told
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

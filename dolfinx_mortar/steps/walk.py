@@ -197,7 +197,9 @@ class Run:
         committed.walk = self.walk = Walk(start, [one.rows for one in self.ramps], settings)
         done = committed.walked  # of the checkpoint, if any
         used = find_constants([problem.inputs, [field.given for field in self.fields]])
-        idle = [] if self.on_time else notes_on_unread(self.ramps, used)
+        tables = {f"ramp: table {k}": one.constant for k, one in enumerate(self.ramps, start=1)}
+        tables |= {} if self.dt is None else {"dt": self.dt}
+        idle = [] if self.on_time else notes_on_unread(tables, used)
         for note in idle if problem.comm.rank == 0 else ():
             log.warning("%s", note)
         quiet = self.progress is None and len(levels) == 1
