@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Ties across a periodic cell: uniform strain, and the mean stress of a laminate."""
 
+from functools import partial
+
 from mpi4py import MPI
 
 import numpy as np
@@ -8,10 +10,16 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx.mesh import create_unit_square, locate_entities, meshtags
+from dolfinx.mesh import (
+    CellType,
+    create_unit_cube,
+    create_unit_square,
+    locate_entities,
+    meshtags,
+)
 
 E, NU, LAYER = (100.0, 10.0), 0.3, 0.4  # from y = 0 to LAYER, and above
-H = np.array([[0.01, 0.004], [0.002, -0.02]])
+H = np.array([[0.01, 0.004, 0.003], [0.002, -0.02, -0.001], [0.005, 0.002, 0.006]])
 
 
 def laminate():
@@ -25,40 +33,43 @@ def laminate():
     return np.array([[share @ (stiff * H[0, 0] + lame * strain), shear], [shear, across]])
 
 
-def stress(E, shift, degree=1, n=5):
-    """Return the mean stress of a cell whose nodes are shifted on the right and at the top."""
-    mesh = create_unit_square(MPI.COMM_WORLD, n, n)
-    x, y = mesh.geometry.x[:, 0].copy(), mesh.geometry.x[:, 1].copy()
-    mesh.geometry.x[:, 1] += shift * x * y * (y - LAYER) * (1 - y)
-    mesh.geometry.x[:, 0] += shift * y * x * (1 - x)
-    sides = [locate_entities(mesh, 1, lambda x, i=i, at=at: abs(x[i] - at) < 1e-9)
-             for i in range(2) for at in (0.0, 1.0)]  # fmt: skip
-    values = np.repeat(np.arange(4, dtype=np.int32), [len(side) for side in sides])
+def stress(E, shift, degree=1, d=2):
+    """Return the mean stress of a cell whose sides at x_i = 1 have shifted nodes."""
+    shape = {2: create_unit_square, 3: partial(create_unit_cube, cell_type=CellType.hexahedron)}
+    mesh = shape[d](MPI.COMM_WORLD, *[5] * d)
+    x = mesh.geometry.x[:, :d].copy()
+    for i in range(d):
+        inside = np.prod([x[:, k] * (1 - x[:, k]) for k in range(d) if k != i], axis=0)
+        along = (x[:, 1] - LAYER) if (i + 1) % d == 1 else 1.0
+        mesh.geometry.x[:, (i + 1) % d] += shift * 4 ** (d - 2) * x[:, i] * inside * along
+    sides = [locate_entities(mesh, d - 1, lambda x, i=i, at=at: abs(x[i] - at) < 1e-9)
+             for i in range(d) for at in (0.0, 1.0)]  # fmt: skip
+    values = np.repeat(np.arange(2 * d, dtype=np.int32), [len(side) for side in sides])
     order = np.argsort(np.concatenate(sides))
-    facets = meshtags(mesh, 1, np.concatenate(sides)[order], values[order])
-    cells = np.arange(mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts)
-    low = locate_entities(mesh, 2, lambda x: x[1] < LAYER + 1e-9)
-    layers = meshtags(mesh, 2, cells.astype(np.int32), np.isin(cells, low).astype(np.int32))
-    V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    facets = meshtags(mesh, d - 1, np.concatenate(sides)[order], values[order])
+    cells = np.arange(mesh.topology.index_map(d).size_local + mesh.topology.index_map(d).num_ghosts)
+    low = locate_entities(mesh, d, lambda x: x[1] < LAYER + 1e-9)
+    layers = meshtags(mesh, d, cells.astype(np.int32), np.isin(cells, low).astype(np.int32))
+    V = fem.functionspace(mesh, ("Lagrange", degree, (d,)))
     solid = dm.Solid(fem.Function(V), {1: dm.Elastic(E[0], NU), 0: dm.Elastic(E[1], NU)}, layers)
+    options = {"surface": "facets", "within": np.inf}
     ties = [
-        dm.Tie(facets, slave=2 * i + 1, master=2 * i, jump=H[:, i], surface="facets", within=np.inf)
-        for i in range(2)
+        dm.Tie(facets, slave=2 * i + 1, master=2 * i, jump=H[:d, i], **options) for i in range(d)
     ]
-    corner = fem.locate_dofs_geometrical(V, lambda x: x[0] + x[1] < 1e-9)
-    problem = dm.ContactProblem(solid, ties, bcs=[fem.dirichletbc(np.zeros(2), corner, V)])
+    corner = fem.locate_dofs_geometrical(V, lambda x: x.sum(axis=0) < 1e-9)
+    problem = dm.ContactProblem(solid, ties, bcs=[fem.dirichletbc(np.zeros(d), corner, V)])
     dm.newton(problem, rtol=1e-12)
-    return np.column_stack([tie.force for tie in ties])
+    return np.column_stack([tie.force[:d] for tie in ties])
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("degree", [1, 2])
-def test_uniform_strain(degree):
-    """A patch test across the cell, with corners that belong to two ties."""
-    mu = E[0] / 2 / (1 + NU)
-    strain = (H + H.T) / 2
-    exact = 2 * mu * strain + 2 * mu * NU / (1 - 2 * NU) * np.trace(strain) * np.eye(2)
-    assert stress((E[0], E[0]), 0.8, degree) == pytest.approx(exact, abs=1e-10)
+@pytest.mark.parametrize(("d", "degree"), [(2, 1), (2, 2), (3, 1)])
+def test_uniform_strain(d, degree):
+    """A patch test across the cell, with corners and edges that belong to several ties."""
+    mu, h = E[0] / 2 / (1 + NU), H[:d, :d]
+    strain = (h + h.T) / 2
+    exact = 2 * mu * strain + 2 * mu * NU / (1 - 2 * NU) * np.trace(strain) * np.eye(d)
+    assert stress((E[0], E[0]), 0.8, degree, d) == pytest.approx(exact, abs=1e-10)
 
 
 @pytest.mark.mpi
