@@ -101,6 +101,12 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "read_a_deck",
+        "A deck of Abaqus or CalculiX: two cubes and the contact between them.",
+        {"read_a_deck.png": "Von Mises stress."},
+        example=True,
+    ),
+    Demo(
         "bounce_a_rod",
         "Dynamics: a rod hits a wall, for the time of a wave.",
         {"bounce_a_rod.png": "Force over time."},
