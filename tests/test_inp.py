@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.meshing.inp import FACES, TYPES
+from dolfinx_mortar.meshing.deck import CELLS, TYPES
 from tests.cases import msh_files
 from tests.cases.integrals import integral
 from tests.cases.pressed_blocks import rejected
@@ -21,10 +21,11 @@ SIZES = {"triangle": 0.5, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedro
 def deck_of(kind, bulge=0.0):
     """One reference cell as a deck; its middles of edges are moved by x -> x + bulge x^2."""
     known = TYPES[kind]
-    x = known.nodes()[0][: known.count].copy()
+    element, order = known.nodes()
+    x = element.basix_element.points[np.argsort(order)][: known.size]
     x[:, 0] += bulge * x[:, 0] ** 2
     nodes = "\n".join(f"{i}, {', '.join(map(str, at))}" for i, at in enumerate(x, 10))
-    numbers = ", ".join(str(i) for i in range(10, 10 + known.count))
+    numbers = ", ".join(str(i) for i in range(10, 10 + known.size))
     return f"*NODE\n{nodes}\n*ELEMENT, TYPE={kind}RH, ELSET=E\n7, {numbers}\n"
 
 
@@ -43,8 +44,8 @@ def read(text, **more):
 def test_volume_and_facets_of_a_cell(kind):
     """Int dx and int ds of each facet: x -> x + x^2/4 has the volume int 1 + x/2, exactly."""
     known = TYPES[kind]
-    bulge, dim = 0.25 * (known.degree - 1), known.nodes()[0].shape[1]
-    names = [f"S{i}" for i in range(1, len(FACES[known.cell]) + 1)]
+    bulge, dim = 0.25 * (known.degree - 1), known.nodes()[0].block_size
+    names = [f"S{i}" for i in range(1, len(CELLS[known.cell][1]) + 1)]
     surfaces = "".join(f"*SURFACE, NAME=F{n}\nE, {n}\n" for n in names)
     deck = read(deck_of(kind, bulge) + surfaces)
     x = ufl.SpatialCoordinate(deck.mesh)
@@ -52,10 +53,10 @@ def test_volume_and_facets_of_a_cell(kind):
     mean = {"triangle": 1 / 3, "tetrahedron": 1 / 4}.get(known.cell, 1 / 2)
     volume = SIZES[known.cell] * (1.0 + 2.0 * bulge * mean)
     assert integral(one * ufl.dx(deck.mesh)) == pytest.approx(volume, rel=1e-12)
-    n, ds = ufl.FacetNormal(deck.mesh), ufl.Measure("ds", deck.mesh, subdomain_data=deck.facet_tags)
-    every = sum(integral(ufl.dot(x, n) * ds(deck.facet_tags.tag(f"F{s}"))) for s in names)
+    n, ds = ufl.FacetNormal(deck.mesh), ufl.Measure("ds", deck.mesh, subdomain_data=deck.tags())
+    every = sum(integral(ufl.dot(x, n) * ds(deck.tags().tag(f"F{s}"))) for s in names)
     assert every == pytest.approx(dim * volume, rel=1e-12)
-    lowest = x[dim - 1] ** 2 * ds(deck.facet_tags.tag("FS1"))  # z = 0 or y = 0
+    lowest = x[dim - 1] ** 2 * ds(deck.tags().tag("FS1"))  # z = 0 or y = 0
     assert integral(lowest) == pytest.approx(0.0, abs=1e-14)
 
 
@@ -122,9 +123,8 @@ TIE = "*TIE, NAME=GLUE, POSITION TOLERANCE=0.5\nUP.UPPER, LOW.UPPER\n"
 def test_two_instances_of_a_block(joint, kind):
     """A uniform strain of .005 in plane strain: the pressure is E/(1 - nu^2) times that."""
     deck = read(DECK + joint, block=BLOCK)
-    mesh, cell_tags, facet_tags = deck
+    mesh, cell_tags = deck.mesh, deck.cell_tags
     assert cell_tags.names == {"LOW.E": 1, "UP.E": 2} and deck.kinematics == "plane_strain"
-    assert {*facet_tags.names} == {"LOW.UPPER", "UP.UPPER"}
     assert {*deck.tags("LOW.SKIN", "UP.SKIN").names} == {"LOW.SKIN", "UP.SKIN"}
     assert deck.densities == {"LOW.E": 7.8e-9, "UP.E": 7.8e-9}
     assert deck.expansions == {"LOW.E": 1.2e-5, "UP.E": 1.2e-5}
@@ -178,11 +178,18 @@ def test_laws(plastic, law):
     [
         ("CPE8R", "S8R", ("block.inp, line 10, *ELEMENT", "no element type 'S8'", "C3D4")),
         ("6,7,8", "6,7,9", ("line 12", "there is no node '9'")),
-        ("6,7,8", "6,7", ("line 10", "8 nodes of an element are missing")),
-        ("6,7,8", "6,7,7", ("line 11", "element 1 has a node twice")),
+        ("6,7,8", "6,7", ("line 10, *ELEMENT", "element 1 has fewer than 8 nodes")),
+        ("6,7,8", "6,7,7", ("line 12", "element 1 has a node twice")),
         (".5, 0", ".5, x", ("line 6", "3 finite numbers")),
         ("type=NODE\nTop", "type=NODE\nTip", ("line 19", "no node set 'TIP'")),
-        ("name=Skin\nE", "name=Skin\nE, S5", ("no face 'S5'", "S1, S2, S3, S4",)),
+        (
+            "name=Skin\nE",
+            "name=Skin\nE, S5",
+            (
+                "no face 'S5'",
+                "S1, S2, S3, S4",
+            ),
+        ),
         ("material=STEEL", "material=IRON", ("line 22", "no material 'IRON'")),
         ("elset=E, material", "elset=F, material", ("line 22", "no element set 'F'")),
         ("*Solid Section, elset=E", "*Solid Section, x=E", ("ELSET= is missing",)),
@@ -191,7 +198,7 @@ def test_laws(plastic, law):
         ("LOW.UPPER", "LOW.OTHER", ("no surface 'LOW.OTHER'",)),
         ("200., .3", "-200., .3", ("E",)),
         ("200., .3", "200.", ("line 19, *ELASTIC", "2 finite numbers")),
-        ("block.inp", "black.inp", ("deck.inp, line 2, *INCLUDE", "black.inp", "no such file")),
+        ("block.inp", "black.inp", ("deck.inp, line 2: INPUT", "black.inp", "no such file")),
         ("block.inp", "deck.inp", ("includes itself",)),
     ],
 )

@@ -23,7 +23,8 @@ def missing_nodes(cell: str, points: Floats, count: int) -> Floats:
         return np.empty((0, count))
     variants = basix.LagrangeVariant.legendre, basix.DPCVariant.legendre
     family, kind = basix.ElementFamily.serendipity, basix.CellType[cell]
-    values = basix.create_element(family, kind, 2, *variants).tabulate(0, points)[0, :, :, 0]
+    space = basix.create_element(family, kind, 2, *variants)
+    values = np.asarray(space.tabulate(0, points), dtype=float)[0, :, :, 0]
     weights = values[count:] @ np.linalg.inv(values[:count])
     return np.asarray(np.round(4.0 * weights) / 4.0)  # they are quarters
 
