@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Nodes that 8-node quadrilaterals and 20-node hexahedra lack, in any order of a file."""
 
+from typing import Any
+
 import numpy as np
 
 import basix
 from dolfinx_mortar.common.arrays import Floats, Longs
+
+# Gmsh's numbers of these cells, and of the full ones.
+INCOMPLETE = {16: ("quadrilateral", 10), 17: ("hexahedron", 12)}
 
 
 def missing_nodes(cell: str, points: Floats, count: int) -> Floats:
@@ -53,3 +58,31 @@ def full_cells(x: Floats, *blocks: tuple[Floats, Longs]) -> tuple[Floats, list[L
         for (w, cells), own in zip(blocks, new, strict=True)
     ]
     return np.concatenate([x, np.concatenate(places)[first]]), full
+
+
+def fill_cells(model: Any) -> None:
+    """Replace such cells of a model of Gmsh by full ones."""
+    mesh = model.mesh
+    found = [
+        (dim, entity, kind, numbers, nodes.reshape(len(numbers), -1))
+        for dim, entity in model.getEntities()
+        for kind, numbers, nodes in zip(*mesh.getElements(dim, entity), strict=True)
+        if kind in INCOMPLETE
+    ]
+    if not found:
+        return
+    tags, x, _ = mesh.getNodes()
+    order = np.argsort(tags)
+    blocks = []
+    for _, _, kind, _, nodes in found:
+        cell, full = INCOMPLETE[kind]
+        _, dim, _, _, points, _ = mesh.getElementProperties(full)
+        weights = missing_nodes(cell, (points.reshape(-1, dim) + 1.0) / 2.0, nodes.shape[1])
+        blocks.append((weights, np.searchsorted(tags[order], nodes)))
+    every, cells = full_cells(x.reshape(-1, 3)[order], *blocks)
+    new = np.arange(len(tags), len(every)) - len(tags) + tags.max() + 1
+    tags = np.append(tags[order], new)
+    mesh.addNodes(*found[0][:2], new, every[len(x) // 3 :].ravel())
+    for (dim, entity, kind, numbers, _), rows in zip(found, cells, strict=True):
+        mesh.removeElements(dim, entity, numbers)
+        mesh.addElementsByType(entity, INCOMPLETE[kind][1], numbers, tags[rows].ravel())
