@@ -208,6 +208,66 @@ def test_decks_that_are_refused(old, new, words):
         read(texts[0], block=texts[1])
 
 
+# R. H. MacNeal, R. L. Harder, Finite Elem. Anal. Des. 1 (1985) 3-20: the inner nodes of the patch
+# test for solids in the unit cube, E = 1e6, nu = 0.25, and u = G x on all of its surface.
+INNER = """.249 .342 .192  .826 .288 .288  .850 .649 .263  .273 .750 .230
+           .320 .186 .643  .677 .305 .683  .788 .693 .644  .165 .745 .702"""
+G = 5e-4 * (np.ones((3, 3)) + np.eye(3))
+INWARD = (0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)
+
+
+def patch(kind):
+    """The patch as a deck of CalculiX: a cell in the middle, and one between it and each side."""
+    known = TYPES[kind]
+    element, order = known.nodes()
+    corners = element.basix_element.points[np.argsort(order)][:8]
+    x = np.concatenate([corners, np.array(INNER.split(), dtype=float).reshape(8, 3)])
+    cells = [[*range(8, 16)], *([*face, *(i + 8 for i in face)] for face in INWARD)]
+    ends = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)]
+    ends += [(i, i + 4) for i in range(4)]
+    edges = {}
+    for cell in cells:
+        pairs = [tuple(sorted((cell[i], cell[j]))) for i, j in ends[: known.size - 8]]
+        cell += [edges.setdefault(pair, 16 + len(edges)) for pair in pairs]
+    x = np.concatenate([x, *(x[[*pair]].mean(axis=0, keepdims=True) for pair in edges)])
+    outside = np.flatnonzero(((x == 0.0) | (x == 1.0)).any(axis=1))
+    lines = ["*NODE, NSET=NALL", *(f"{i + 1},{a},{b},{c}" for i, (a, b, c) in enumerate(x))]
+    lines.append(f"*ELEMENT, TYPE={kind}, ELSET=EALL")
+    for i, cell in enumerate(cells, 1):
+        numbers = [str(i), *(str(n + 1) for n in cell)]
+        lines += [",".join(numbers[:11]) + ",", ",".join(numbers[11:])][: 1 + (known.size > 8)]
+    lines += ["*NSET, NSET=OUTSIDE", *(f"{i + 1}," for i in outside)]
+    lines += [
+        "*MATERIAL, NAME=M",
+        "*ELASTIC",
+        "1.E6, .25",
+        "*SOLID SECTION, MATERIAL=M, ELSET=EALL",
+    ]
+    return "\n".join([*lines, "*STEP", "*STATIC", "*NODE PRINT, NSET=NALL", "U", "*END STEP"])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["C3D8", "C3D20"])
+def test_the_patch_of_macneal_and_harder(kind):
+    """Displacements are those of the surface inside, too; stresses are 2000 and 400."""
+    deck = read(patch(kind))
+    assert len(deck.unread) == 4
+    V = fem.functionspace(deck.mesh, ("Lagrange", TYPES[kind].degree, (3,)))
+    assert V.dofmap.index_map.size_global == {"C3D8": 16, "C3D20": 16 + 32 + 24 + 7}[kind]
+    u, exact = fem.Function(V), fem.Function(V)
+    exact.interpolate(lambda x: G @ x)
+    held = fem.dirichletbc(exact, deck.dofs(V, "OUTSIDE"))
+    problem = dm.ContactProblem(dm.Solid(u, deck.materials, deck.cell_tags), [], bcs=[held])
+    dm.newton(problem, rtol=1e-12)
+    error = np.abs(u.x.array - exact.x.array)
+    assert COMM.allreduce(error.max(initial=0.0), op=MPI.MAX) < 1e-10 * 2e-3
+    e, one = ufl.sym(ufl.grad(u)), fem.Constant(deck.mesh, 1.0)
+    volume = integral(one * ufl.dx(deck.mesh))
+    assert volume == pytest.approx(1.0, rel=1e-12)
+    shear = 0.8e6 * e[0, 1] * ufl.dx(deck.mesh)
+    assert integral(shear) == pytest.approx(400.0, rel=1e-10)
+
+
 def write_step(path, draw):
     """Write what is drawn by Gmsh as a STEP file, on rank 0."""
     gmsh = pytest.importorskip("gmsh")
