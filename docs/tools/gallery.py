@@ -166,6 +166,14 @@ DEMOS = [
         },
     ),
     Demo(
+        "assembly",
+        "A STEP file of four parts: pairs found, the bolt preloaded, the joint pulled apart.",
+        {
+            "result.png": "Von Mises stress in the open joint, displacements 50 times as large.",
+            "forces.png": "Force of the bolt and of the clamp over the pull.",
+        },
+    ),
+    Demo(
         "indentation",
         "Axisymmetric contact: a ball is flattened by a rigid plate, far beyond first yield.",
         {"result.png": "Forces and areas beside published fits; pressures; plastic strain."},
