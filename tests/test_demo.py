@@ -104,6 +104,18 @@ def test_the_ball_joint_shows_what_facets_do(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_bolted_joint_from_cad_carries_its_preload_until_it_opens(tmp_path):
+    """Tight: all forces are the preload; open: the bolt carries the pull; between: B = C + W."""
+    steps = summary(tmp_path, "assembly", "--size", "3", ranks=2)["steps"]
+    names = "bolt and upper plate", "lower plate and nut", "lower plate and upper plate"
+    near(steps[0], 1e-6, pull=0.0, bolt=20e3, **dict.fromkeys(names, 20e3))
+    for step in steps:
+        near(step, 1e-6, bolt=step["pull"] + step[names[2]], **dict.fromkeys(names[:2], "bolt"))
+    assert steps[2]["bolt"] < 1.03 * 20e3 and steps[2]["pull"] == 10e3
+    assert steps[-1][names[2]] == 0.0 and steps[-1]["pull"] == 25e3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("interference", "yields"), [("0.97", False), ("1.05", True)])
 def test_first_yield_is_at_the_analytic_load(interference, yields, tmp_path):
     options = "--interference", interference, "--steps", "1", "--h", "0.05"

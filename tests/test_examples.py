@@ -26,6 +26,7 @@ SAID = {  # what they print, by their last lines
     "close_a_gap": ("80 K:  -96.60 MPa, exact  -96.60 MPa",),
     "conduct_heat": ("left end at 400 K: 62.5",),
     "homogenise_a_cell": ("pressed along x: -34.76 MPa, -19.23 MPa", "both: -53.99 MPa"),
+    "read_a_deck": ("force 210.000 N, exact 210.000 N",),
     "bounce_a_rod": ("contact lasts 2.020 L/c, exact 2",),
     "stop_and_go_on": ("without a stop",),
 }

@@ -4,11 +4,13 @@ import sys
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx_mortar.common.compat import cell_degree
-from tests.cases.integrals import sizes
+from tests.cases.integrals import integral, sizes
 from tests.cases.msh_files import boxes, folder, msh_file, squares
 from tests.cases.pressed_blocks import rejected
 
@@ -50,6 +52,40 @@ def test_bodies_in_space(order, hexahedra):
     assert cell_degree(mesh) == order
     assert sizes(mesh, cell_tags, "dx") == pytest.approx({"ball": 1.0, "plate": 1.0})
     assert sizes(mesh, facet_tags, "ds") == pytest.approx({"ball": 1.0, "between": 2.0})
+
+
+def bent(model):
+    """Mesh boxes by bricks, and move their nodes by x -> x + y^2/4 + y z/2."""
+    model.mesh.clear()
+    model.mesh.setTransfiniteAutomatic()
+    for _, curve in model.getEntities(1):
+        model.mesh.setTransfiniteCurve(curve, 3)
+    model.mesh.generate(model.getDimension())
+    tags, x, _ = model.mesh.getNodes()
+    for tag, (a, y, z) in zip(tags, x.reshape(-1, 3), strict=True):
+        model.mesh.setNode(tag, [a + y * y / 4 + y * z / 2, y, z], [])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("bodies", "nodes"), [(squares, 2 * 5**2), (boxes, 2 * 5**3)])
+def test_cells_without_nodes_at_their_middles_get_them(bodies, nodes):
+    """All polynomials of degree 2 are among their shape functions: a bent grid is one again."""
+    options = {"RecombineAll": 1, "Recombine3DAll": 1, "ElementOrder": 2}
+    with msh_file(
+        lambda model: [bodies(model), bent(model)], SecondOrderIncomplete=1, **options
+    ) as file:
+        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
+    assert cell_degree(mesh) == 2 and mesh.geometry.index_map().size_global == nodes
+    x, y, z = mesh.geometry.x.T
+    grid = 8.0 * np.array([x - y**2 / 4 - y * z / 2, y, z])
+    assert grid == pytest.approx(np.round(grid), abs=1e-12)
+    volume = {"low": 1.5, "up": 1.0} if bodies is squares else {"ball": 1.0, "plate": 1.0}
+    assert sizes(mesh, cell_tags, "dx") == pytest.approx(volume, rel=1e-12)
+    n, d = ufl.FacetNormal(mesh), mesh.geometry.dim - 1
+    ds = ufl.Measure("ds", mesh, subdomain_data=facet_tags)
+    below = {"bottom": 1.5} if bodies is squares else {"ball": 1.0}
+    for name, size in below.items():
+        assert integral(n[d] * ds(facet_tags.tag(name))) == pytest.approx(-size, rel=1e-12)
 
 
 @pytest.mark.mpi
@@ -249,7 +285,6 @@ def doubled(model):
 
 
 LOOSE = "are no facets of a body"  # at which dolfinx ends the process
-SERENDIPITY = {"RecombineAll": 1, "ElementOrder": 2, "SecondOrderIncomplete": 1}
 REFUSED = [
     (changed((2, 12), (1, 9)), {}, LOOSE, "4 of the 4", "'slave'", "give it a physical surface"),
     (section, {}, LOOSE, "'plane'", "dimension 2", "physical volume", "out of the groups"),
@@ -258,7 +293,6 @@ REFUSED = [
     (one(box, 3, ["ball"]), {}, "'ball'", "empty", "gmsh -3"),
     (mixed, {}, "mixes cells", "Quad", "Triangle"),
     (squares, {"ElementOrder": 3}, "Triangle 10", "not supported"),
-    (squares, SERENDIPITY, "Quadrilateral 8", "SecondOrderIncomplete 0"),
     (one(line, 1, ["bar"], 1), {}, "dimension 1", "physical surface or volume"),
     *(
         (changed(all=group), {"MshFileVersion": version}, f"'{first}' and 'all'", "do not fragment")

@@ -23,7 +23,7 @@ BELOW = {
     "materials": {"common"},
     "shapes": {"common"},
     "analytic": {"common"},
-    "meshing": {"common", "algebra"},
+    "meshing": {"common", "algebra", "interfaces", "materials"},
     "output": {"common", "algebra", "materials"},
     "qp": {"common", "algebra"},
     "mortar": {"common", "algebra", "geometry"},

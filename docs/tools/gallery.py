@@ -113,6 +113,12 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "read_a_deck",
+        "A deck of Abaqus or CalculiX: two cubes and the contact between them.",
+        {"read_a_deck.png": "Von Mises stress."},
+        example=True,
+    ),
+    Demo(
         "bounce_a_rod",
         "Dynamics: a rod hits a wall, for the time of a wave.",
         {"bounce_a_rod.png": "Force over time."},
@@ -169,6 +175,14 @@ DEMOS = [
         {
             "result.png": "Forces, resistances of EN 1993-1-8; plastic strain in the section.",
             "pull.gif": "The pull, step by step.",
+        },
+    ),
+    Demo(
+        "assembly",
+        "A STEP file of four parts: pairs found, the bolt preloaded, the joint pulled apart.",
+        {
+            "result.png": "Von Mises stress in the open joint, displacements 50 times as large.",
+            "forces.png": "Force of the bolt and of the clamp over the pull.",
         },
     ),
     Demo(

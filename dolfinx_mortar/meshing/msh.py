@@ -20,6 +20,7 @@ from dolfinx_mortar.common.arguments import check, instance
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Longs
 from dolfinx_mortar.common.disk import check_path
 from dolfinx_mortar.common.tags import Tags
+from dolfinx_mortar.meshing.full_cells import fill_cells
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 
 log = logging.getLogger(__name__)
@@ -63,7 +64,8 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
     Args:
         path: file of version 2 or 4, text or binary; in the plane z = 0 or in space, of first or
-            second order.
+            second order. 8-node quadrilaterals and 20-node hexahedra get the nodes they lack by
+            their own shape functions.
         comm: communicator of the mesh.
 
     Raises:
@@ -80,6 +82,7 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         with raised_together(comm):
             if comm.rank == 0:
                 gmsh = _open(file, stack)
+                fill_cells(gmsh.model)
                 groups = _check(gmsh.model, _read_groups(gmsh.model, file), f"path = {str(file)!r}")
                 model = gmsh.model
                 model.removePhysicalGroups()
@@ -226,7 +229,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
     if kinds[0] not in CELLS:
         raise ValueError(
             f"{path}: cells of the kind {names[0]!r} are not supported; use {KNOWN} (in Gmsh, "
-            "Mesh.ElementOrder 1 or 2, Mesh.SecondOrderIncomplete 0)."
+            "Mesh.ElementOrder 1 or 2)."
         )
 
 

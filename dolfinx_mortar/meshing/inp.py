@@ -1,0 +1,372 @@
+# SPDX-License-Identifier: MIT
+"""Decks of Abaqus and CalculiX: mesh, sets, surfaces, laws and proposed interfaces."""
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import chain, product, zip_longest
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import basix
+from dolfinx_mortar.algebra.parallel import named, raised_together
+from dolfinx_mortar.common.arguments import check, instance
+from dolfinx_mortar.common.arrays import Floats, Longs
+from dolfinx_mortar.common.disk import check_path
+from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.materials.elastic import Elastic
+from dolfinx_mortar.materials.plasticity import VonMises
+from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, find_name
+from dolfinx_mortar.meshing.full_cells import full_cells, missing_nodes
+
+VARIANTS = "RHIMTS"  # reduced, hybrid, incompatible, modified, thermal, stresses at surfaces
+SORTS = {"NSET": "node", "ELSET": "element"}
+OWNERS = "MATERIAL", "SURFACE INTERACTION"
+PROPERTIES = "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
+# What says how, not what, or holds other keywords.
+SILENT = {"", "HEADING", "INCLUDE", "ASSEMBLY", "END ASSEMBLY"}
+INPUT = re.compile(r"\*[^*].*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
+
+
+def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD) -> Deck:
+    """Read a deck of Abaqus or CalculiX (collective).
+
+        deck = dm.meshing.read_inp("bearing.inp")
+        u = fem.Function(fem.functionspace(deck.mesh, ("Lagrange", 1, (3,))))
+        solid = dm.Solid(u, deck.materials, deck.cell_tags, kinematics=deck.kinematics)
+        bcs = [fem.dirichletbc(np.zeros(3), deck.dofs(u.function_space, "FIXED"), u.function_space)]
+        problem = dm.ContactProblem(solid, deck.interfaces, bcs=bcs)
+
+    Read are nodes, elements (C3D4, C3D10, C3D8, C3D20; CPE, CPS, CAX with 3, 4, 6, 8 nodes; also
+    with the letters R, H, I, M, T or S, as full ones without), NSET, ELSET, SURFACE of elements or
+    nodes, TIE, CONTACT PAIR with FRICTION, SOLID SECTION with ELASTIC (isotropic), PLASTIC (of at
+    most two points, with kinematic hardening), DENSITY, EXPANSION, parts, instances and INCLUDE.
+    Steps, loads and all else are listed in ``unread``. 20-node hexahedra and 8-node quadrilaterals
+    get the nodes they lack by their own shape functions. Names are in capitals unless quoted; those
+    of a part are INSTANCE.NAME. Bodies that share nodes are one. Rank 0 reads and distributes.
+
+    Args:
+        path: the file; included ones are searched for beside the one that names them.
+        comm: communicator of the mesh.
+
+    Raises:
+        OSError: if a file is missing or cannot be read.
+        ValueError: naming file and line: for elements of an unknown kind or of several kinds, for
+            sets, surfaces, materials and nodes that do not exist, numbers that are none, elements
+            that are in no section or in two.
+    """
+    check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
+    file = check_path(comm, path)
+    told: Any = None
+    cells: Longs = np.empty((0, 0), dtype=np.int64)
+    x: Floats = np.empty((0, 0))
+    with raised_together(comm):
+        if comm.rank == 0:
+            told, cells, x = _Model(file).finish()
+    return Deck(comm, file.stem, comm.bcast(told), cells, x)
+
+
+@dataclass
+class Keyword:
+    """A keyword with its options and data lines, (place, words)."""
+
+    place: str
+    name: str
+    options: dict[str, str] = field(default_factory=dict)
+    data: list[tuple[str, list[str]]] = field(default_factory=list)
+    scope: str = ""  # before names: an instance and a dot; a material or interaction
+    instance: "Keyword | None" = None
+
+    def __getitem__(self, option: str) -> str:
+        if not self.options.get(option):
+            raise ValueError(f"{option}= is missing")
+        return self.options[option]
+
+    def rows(self) -> Iterator[list[str]]:
+        """Words of each data line, whose place is that of the keyword meanwhile."""
+        if not self.data:
+            raise ValueError("data are missing")
+        place = self.place
+        for at, words in self.data:
+            self.place = f"{at}, *{self.name}"
+            yield words
+        self.place = place
+
+    def words(self) -> Iterator[str]:
+        """All words."""
+        return (word for words in self.rows() for word in words if word)
+
+    def numbers(self, least: int) -> Iterator[list[float]]:
+        """Numbers of each data line, at least so many."""
+        return (_numbers(words, least) for words in self.rows())
+
+    def find(self, known: Mapping[str, Any], name: str, sort: str) -> Any:
+        """What has a name in the scope, or else in the deck."""
+        return find_name(known, self.scope + name if self.scope + name in known else name, sort)
+
+
+def _numbers(words: list[str], least: int) -> list[float]:
+    text = ", ".join(words).rstrip(", ").replace("D", "E")
+    try:
+        found = [float(word or 0) for word in text.split(", ") if text]
+    except ValueError:
+        found = []
+    if len(found) < least or not np.isfinite(found).all():
+        raise ValueError(f"{text!r}: give {least} finite numbers")
+    return found
+
+
+def _lines(file: Path, by: str = "path", above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]]:
+    """Places and texts of the lines of a file and of those that it includes."""
+    if not file.is_file() or file.resolve() in above:
+        why = "includes itself" if file.is_file() else "there is no such file"
+        raise FileNotFoundError(f"{by} = {str(file)!r}: {why}")
+    for number, line in enumerate(file.read_text(errors="replace").splitlines(), 1):
+        place = f"{file}, line {number}"
+        if line.strip() and not line.startswith("**"):
+            yield place, line.strip().upper().replace('"', "")
+        if found := INPUT.match(line):
+            other = file.parent / found[1].strip()
+            yield from _lines(other, f"{place}: INPUT", (*above, file.resolve()))
+
+
+def _keywords(lines: Iterator[tuple[str, str]]) -> Iterator[Keyword]:
+    """Keywords with their data."""
+    found, begun = Keyword("", ""), ""
+    for place, line in lines:
+        text = begun + line
+        begun = text if text[0] == "*" and text[-1] == "," else ""
+        words = [word.strip() for word in text.lstrip("*").split(",")]
+        if text[0] != "*":
+            found.data.append((place, words))
+        elif not begun:
+            yield found
+            pairs = (word.partition("=") for word in words[1:])
+            options = {key.strip(): value.strip() for key, _, value in pairs}
+            name = " ".join(words[0].split())
+            found = Keyword(f"{place}, *{name}", name, options)
+    yield found
+
+
+def _entries(keywords: Iterable[Keyword]) -> Iterator[Keyword]:
+    """Keywords in their scope, those of parts once for each instance."""
+    parts: dict[str, list[Keyword]] = {}
+    part, scope, owner = None, "", ""
+    for k in keywords:
+        with named(k.place):
+            if k.name == "PART":
+                part = parts[k["NAME"]] = []
+            elif k.name == "INSTANCE":
+                scope = f"{k['NAME']}."
+                for own in k.find(parts, k["PART"], "part"):
+                    yield replace(own, scope=scope, instance=k)
+            elif k.name in ("END PART", "END INSTANCE"):
+                part, scope = None, ""
+            elif part is not None:
+                part.append(k)
+            else:
+                owner = k["NAME"] if k.name in OWNERS else owner
+                yield replace(k, scope=owner if k.name in PROPERTIES else scope)
+
+
+class _Model:
+    """A deck on the rank that reads it."""
+
+    def __init__(self, file: Path) -> None:
+        self.kind: Any = None
+        self.x: list[Floats] = []
+        self.cells: list[list[int]] = []
+        self.rows: dict[str, dict[str, list[int]]] = {
+            sort: {} for sort in SORTS
+        }  # of numbers and sets
+        self.surfaces: dict[str, Longs] = {}  # elements and their facets (n, 2)
+        self.properties: dict[str, dict[str, Any]] = {}  # of materials and interactions
+        self.bodies: dict[str, dict[str, Any]] = {}
+        self.owner: dict[int, int] = {}
+        self.joints: list[tuple[type[Contact | Tie], str, dict[str, Any]]] = []
+        self.unread: list[str] = []
+        order = {name: i for i, name in enumerate(READERS)}
+        entries = _entries(_keywords(_lines(file)))
+        for k in sorted(entries, key=lambda k: order.get(k.name, len(order))):
+            try:
+                READERS.get(k.name, _Model.leave)(self, k)
+            except ValueError as error:
+                raise ValueError(f"{k.place}: {error}") from error
+        if not self.cells:
+            raise ValueError(f"path = {str(file)!r} has no elements")
+
+    def leave(self, k: Keyword) -> None:
+        """Tell what is not read."""
+        if k.name not in SILENT and k.place not in self.unread:
+            self.unread.append(k.place)
+
+    def read_nodes(self, k: Keyword) -> None:
+        """Nodes, moved with their instance."""
+        if "SYSTEM" in k.options:
+            raise ValueError("coordinates in another SYSTEM are not read: give x, y, z")
+        read = np.array([[*row, 0.0][:4] for row in k.numbers(3)])
+        for i, number in enumerate(read[:, 0], len(self.x)):
+            self.add("NSET", k, f"{number:.0f}", i)
+        self.x += [*_move(k.instance, read[:, 1:])]
+
+    def read_elements(self, k: Keyword) -> None:
+        """Elements of a kind."""
+        kind = k.find(TYPES, k["TYPE"].rstrip(VARIANTS), "element type")
+        if self.kind not in (None, kind):
+            raise ValueError(
+                f"{k['TYPE']} is mixed with {self.kind}: mesh all bodies with one kind"
+            )
+        self.kind = kind
+        for number, *nodes in zip_longest(*[k.words()] * (kind.size + 1)):
+            if None in nodes:
+                raise ValueError(f"element {number} has fewer than {kind.size} nodes")
+            cell = self.find("NSET", k, nodes)
+            if len({*cell}) < kind.size:
+                raise ValueError(f"element {number} has a node twice")
+            self.add("ELSET", k, number, len(self.cells))
+            self.cells.append(cell)
+
+    def add(self, sort: str, k: Keyword, number: str, row: int) -> None:
+        """Number a row, and add it to the set of the keyword."""
+        known = self.rows[sort]
+        if k.scope + number in known:
+            raise ValueError(f"{SORTS[sort]} {number} is there twice")
+        for name in filter(None, (number, k.options.get(sort))):
+            known.setdefault(k.scope + name, []).append(row)
+
+    def find(self, sort: str, k: Keyword, words: Iterable[str]) -> list[int]:
+        """Rows of numbers and sets."""
+        known, what = self.rows[sort], SORTS[sort]
+        found = (k.find(known, w, what + " set" * (not w.isdigit())) for w in words)
+        return [*chain.from_iterable(found)]
+
+    def read_set(self, k: Keyword) -> None:
+        """A set of nodes or elements."""
+        of = replace(k, scope=f"{k['INSTANCE']}.") if "INSTANCE" in k.options else k
+        words = k.words()
+        if "GENERATE" in k.options:
+            ranges = (map(int, row) for row in k.numbers(2))
+            words = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
+        known = self.rows[k.name].setdefault(k.scope + k[k.name], [])
+        known += self.find(k.name, of, words)
+
+    def read_surface(self, k: Keyword) -> None:
+        """A surface of facets of elements, or of those whose corners are nodes of it."""
+        if k.options.get("TYPE") == "NODE":
+            element, order = self.kind.nodes()
+            corners = order[np.array(basix.topology(element.cell_type)[-2])]
+            inside = np.isin(np.array(self.cells)[:, corners], self.find("NSET", k, k.words()))
+            rows = np.argwhere(inside.all(axis=2))
+        else:
+            faces = {f"S{i}": face for i, face in enumerate(CELLS[self.kind.cell][1], 1)}
+            pairs: list[tuple[int, int]] = []
+            for word, *labels in k.rows():
+                own = [k.find(faces, label, "face") for label in labels if label]
+                pairs += product(self.find("ELSET", k, [word]), own or faces.values())
+            rows = np.array(pairs)
+        self.surfaces[k.scope + k["NAME"]] = rows
+
+    def read_section(self, k: Keyword) -> None:
+        """A body."""
+        rows = self.find("ELSET", k, [k["ELSET"]])
+        if self.owner.keys() & {*rows}:
+            raise ValueError("some of its elements are in another section, too")
+        self.owner |= dict.fromkeys(rows, len(self.bodies))
+        self.bodies[k.scope + k["ELSET"]] = k.find(self.properties, k["MATERIAL"], "material")
+
+    def read_owner(self, k: Keyword) -> None:
+        """A material or an interaction."""
+        self.properties.setdefault(k["NAME"], {})
+
+    def read_property(self, k: Keyword) -> None:
+        """A property; None if it is not constant or not isotropic."""
+        own = self.properties[k.scope]
+        rows = [[*row, 0.0] for row in k.numbers(1 + (k.name == "ELASTIC"))]
+        kinds = {k.options.get(option, "ISO")[:3] for option in ("TYPE", "HARDENING")}
+        (first, start), (last, end) = rows[0][:2], rows[-1][:2]
+        rising = k.name == "PLASTIC" and start == 0.0 < end
+        own[k.name] = first
+        if len(rows) > 1 + rising or kinds - {"ISO", "KIN"}:
+            own[k.name] = None
+            self.leave(k)
+        elif k.name == "PLASTIC":
+            modulus = (last - first) / (end or 1.0)
+            own[k.name] = first, modulus, float("KIN" not in kinds)
+        elif k.name == "ELASTIC" and "PLASTIC" not in own:
+            own["law"] = Elastic(first, start)
+        elif k.name == "ELASTIC" and own["PLASTIC"]:
+            stress, modulus, isotropic = own["PLASTIC"]
+            own["law"] = VonMises.from_uniaxial(first, start, stress, modulus, isotropic=isotropic)
+
+    def read_joint(self, k: Keyword) -> None:
+        """Arguments of interfaces, one of each data line."""
+        if {"CYCLIC SYMMETRY", "MULTISTAGE"} & k.options.keys():
+            return self.leave(k)
+        kind = Tie if k.name == "TIE" else Contact
+        given: dict[str, Any] = {}
+        if "POSITION TOLERANCE" in k.options:
+            given["within"] = _numbers([k["POSITION TOLERANCE"]], 1)[0]
+        if "INTERACTION" in k.options:
+            own = k.find(self.properties, k["INTERACTION"], "surface interaction")
+            given["friction"] = own.get("FRICTION") or None
+        for words in k.rows():
+            names = [word for word in words[:2] if word]
+            sides = {"slave": names[0], "master": names[-1]}
+            self.joints.append((kind, k.place, sides | given))
+
+    def finish(self) -> tuple[Any, Longs, Floats]:
+        """What all ranks have to know, cells, and positions of their nodes."""
+        count, rows = self.kind.size, self.rows["ELSET"].items()
+        lost = {*range(len(self.cells))} - self.owner.keys()
+        if self.bodies and lost:
+            name = next(name for name, row in rows if len(row) == 1 and row[0] in lost)
+            raise ValueError(f"element {name} is in no SOLID SECTION")
+        element, order = self.kind.nodes()
+        points = element.basix_element.points[np.argsort(order)]
+        weights = missing_nodes(self.kind.cell, points, count)
+        used, cells = np.unique(np.array(self.cells), return_inverse=True)
+        cells = cells.reshape(-1, count)
+        x, (full,) = full_cells(np.array(self.x)[used, : points.shape[1]], (weights, cells))
+        # a node is in a set if all of those are that it is computed from
+        sources = np.vstack([np.eye(count), weights != 0.0])
+        nodes = {}
+        for name, row in self.rows["NSET"].items():
+            inside = np.isin(used, row)[cells] @ sources.T == sources.sum(axis=1)
+            if not name.rpartition(".")[2].isdigit() and inside.any():
+                nodes[name] = np.unique(full[inside])
+        owner = np.array([self.owner.get(i, 0) for i in range(len(cells))])
+        bodies = self.bodies or {"BODY": {}}
+        told = self.kind, owner, bodies, self.surfaces, nodes, self.joints, self.unread
+        return told, full[:, order], x
+
+
+READERS: dict[str, Callable[[_Model, Keyword], None]] = {  # in the order of reading
+    "NODE": _Model.read_nodes,
+    "ELEMENT": _Model.read_elements,
+    "NSET": _Model.read_set,
+    "ELSET": _Model.read_set,
+    "SURFACE": _Model.read_surface,
+    **dict.fromkeys(OWNERS, _Model.read_owner),
+    **dict.fromkeys(PROPERTIES, _Model.read_property),
+    "SOLID SECTION": _Model.read_section,
+    "TIE": _Model.read_joint,
+    "CONTACT PAIR": _Model.read_joint,
+}
+
+
+def _move(moved: Keyword | None, x: Floats) -> Floats:
+    """Positions (n, 3) in an instance: translated, then rotated about a line."""
+    rows = [*moved.numbers(2)] if moved and moved.data else [[]]
+    x = x + [*rows[0], 0.0, 0.0, 0.0][:3]
+    for row in rows[1:]:
+        start, axis = np.array(row[:3]), np.subtract(row[3:6], row[:3])
+        turn = Rotation.from_rotvec(np.radians(row[6]) * axis / np.linalg.norm(axis))
+        x = start + turn.apply(x - start)
+    return x
