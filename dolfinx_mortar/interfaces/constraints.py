@@ -206,27 +206,36 @@ class FrictionLaw:
 
     def values(self, scalar: fem.FunctionSpace) -> Floats:
         """Values at the owned nodes; a ValueError for negative or non-finite ones; collective."""
-        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
-        if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # ghosts may be set
-            at_nodes = fem.Function(scalar)
-            at_nodes.interpolate(self.value)
-            values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
-            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
-            # round-off of zeros
-            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
-            values[none] = 0.0
-        else:
-            number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
-            values = np.full(n, number)
-        bad = ~(np.isfinite(values) & (values >= 0.0))
-        with raised_together(comm):
-            if bad.any():
-                raise ValueError(
-                    f"{self.name} is {values[bad][0]:g} somewhere: every value has to be finite "
-                    "and >= 0"
-                )
-        return values
+        n = scalar.dofmap.index_map.size_local
+        return values_at_nodes(self.name, self.value, scalar, signed=False)[:n]
+
+
+def values_at_nodes(
+    name: str, value: Limit, scalar: fem.FunctionSpace, *, signed: bool = True
+) -> Floats:
+    """Values at the local nodes; a ValueError for non-finite or negative ones; collective."""
+    comm = scalar.mesh.comm
+    if isinstance(value, fem.Function):
+        value.x.scatter_forward()  # ghosts may be set
+        at_nodes = fem.Function(scalar)
+        at_nodes.interpolate(value)
+        values = np.array(at_nodes.x.array, dtype=np.float64)
+        largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+        # round-off of zeros
+        none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+        values[none & (not signed)] = 0.0
+    else:
+        number = float(np.asarray(getattr(value, "value", value)).reshape(()))
+        nodes = scalar.dofmap.index_map
+        values = np.full(nodes.size_local + nodes.num_ghosts, number)
+    bad = ~(np.isfinite(values) & ((values >= 0.0) | signed))
+    with raised_together(comm):
+        if bad.any():
+            raise ValueError(
+                f"{name} is {values[bad][0]:g} somewhere: every value has to be finite"
+                + ("" if signed else " and >= 0")
+            )
+    return values
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
@@ -242,6 +251,18 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if isinstance(value, Real) and not isinstance(value, bool):
         limit = check(name, value, NOT_NEGATIVE)
         return FrictionLaw(name, limit) if limit > 0.0 else None
+    return FrictionLaw(name, check_field(name, value))
+
+
+def check_offset(offset: Any) -> Limit | None:
+    """The checked length, or None."""
+    return None if offset is None else check_field("offset", offset)
+
+
+def check_field(name: str, value: Any) -> Limit:
+    """Checked number, scalar Constant or nodal scalar Function; else a ValueError."""
+    if is_number(value):
+        return float(value)
     if isinstance(value, fem.Function):
         check_nodal(name, value, (), REMEDY)
     elif not isinstance(value, fem.Constant):
@@ -249,4 +270,4 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     check_real(name, value)
     if value.ufl_shape != ():
         raise ValueError(f"{name} has shape {value.ufl_shape}: {REMEDY}")
-    return FrictionLaw(name, value)
+    return value
