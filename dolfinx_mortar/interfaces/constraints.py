@@ -212,35 +212,43 @@ class FrictionLaw:
         Raises:
             ValueError: on all ranks, for negative or non-finite values.
         """
-        scalar = results["pressure"].function_space
-        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
-        if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # ghosts may be set
-            at_nodes = fem.Function(scalar)
-            at_nodes.interpolate(self.value)
-            values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
-            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
-            # round-off of zeros
-            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
-            values[none] = 0.0
-        elif isinstance(self.value, float | fem.Constant):
-            values = np.full(n, float(getattr(self.value, "value", self.value)))
-        else:
+        scalar, value = results["pressure"].function_space, self.value
+        n = scalar.dofmap.index_map.size_local
+        if not isinstance(value, float | fem.Constant | fem.Function):
             slip = results["step_slip"].x.array.reshape(-1, scalar.mesh.geometry.dim)[:n]
             p, s = np.array(results["pressure"].x.array[:n]), np.linalg.norm(slip, axis=1)
-            with raised_together(comm):
-                found = self.value(p, s)
-                rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
-                values = np.broadcast_to(check(f"{self.name}(p, s)", found, rule), (n,)).copy()
-        bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
-        with raised_together(comm):
-            if len(bad):
-                at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
-                raise ValueError(
-                    f"{self.name} is {values[bad[0]]:g} at ({at}): every value has to be finite "
-                    "and >= 0"
-                )
-        return values
+            rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
+            at = fem.Function(scalar)
+            with raised_together(scalar.mesh.comm):
+                at.x.array[:n] = check(f"{self.name}(p, s)", value(p, s), rule)
+            value = at
+        return values_at_nodes(self.name, value, scalar, signed=False)[:n]
+
+
+def values_at_nodes(
+    name: str, value: Any, scalar: fem.FunctionSpace, *, signed: bool = True
+) -> Floats:
+    """Values at the local nodes; a ValueError for non-finite or negative ones; collective."""
+    comm, at = scalar.mesh.comm, fem.Function(scalar)
+    if isinstance(value, fem.Function):
+        value.x.scatter_forward()  # ghosts may be set
+        at.interpolate(value)
+    else:
+        at.x.array[:] = getattr(value, "value", value)
+    values = np.array(at.x.array, dtype=np.float64)
+    largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+    # round-off of zeros
+    none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+    values[none & (not signed)] = 0.0
+    bad = np.flatnonzero(~(np.isfinite(values) & ((values >= 0.0) | signed)))
+    with raised_together(comm):
+        if len(bad):
+            x = ", ".join(f"{v:.4g}" for v in scalar.tabulate_dof_coordinates()[bad[0]])
+            raise ValueError(
+                f"{name} is {values[bad[0]]:g} at ({x}): every value has to be finite"
+                + ("" if signed else " and >= 0")
+            )
+    return values
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
@@ -256,13 +264,25 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if isinstance(value, Real) and not isinstance(value, bool):
         limit = check(name, value, NOT_NEGATIVE)
         return FrictionLaw(name, limit) if limit > 0.0 else None
+    if callable(value) and not isinstance(value, Expr):
+        return FrictionLaw(name, value)
+    return FrictionLaw(name, check_field(name, value))
+
+
+def check_offset(offset: Any) -> Limit | None:
+    """The checked length, or None."""
+    return None if offset is None else check_field("offset", offset)
+
+
+def check_field(name: str, value: Any) -> Limit:
+    """Checked number, scalar Constant or nodal scalar Function; else a ValueError."""
+    if is_number(value):
+        return float(value)
     if isinstance(value, fem.Function):
         check_nodal(name, value, (), REMEDY)
-    elif callable(value) and not isinstance(value, Expr):
-        return FrictionLaw(name, value)
     elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")
     check_real(name, value)
     if value.ufl_shape != ():
         raise ValueError(f"{name} has shape {value.ufl_shape}: {REMEDY}")
-    return FrictionLaw(name, value)
+    return value

@@ -15,11 +15,16 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arguments import check, one_of
-from dolfinx_mortar.common.arrays import Bools, Floats
+from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import check_mesh
 from dolfinx_mortar.common.tags import label, tag_of
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.constraints import Limit, create_law
+from dolfinx_mortar.interfaces.constraints import (
+    Limit,
+    check_offset,
+    create_law,
+    values_at_nodes,
+)
 from dolfinx_mortar.interfaces.contact_tangent import LinkDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -195,6 +200,7 @@ class Unilateral(Interface):
     """Bounds w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction."""
 
     unilateral = True
+    offset: Limit | None = None
 
     def __repr__(self) -> str:
         name = super().__repr__()
@@ -206,12 +212,21 @@ class Unilateral(Interface):
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
-        return super().given() | {"friction": self.friction, "tresca": self.tresca}
+        own = {"friction": self.friction, "tresca": self.tresca, "offset": self.offset}
+        return super().given() | own
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
-        """Raise a ValueError for limits of friction on another mesh than V's."""
+        """Raise a ValueError for limits of friction or an offset on another mesh than V's."""
+        if isinstance(self.offset, fem.Function):
+            check_mesh("offset", self.offset, V)
         if self.law is not None and isinstance(self.law.value, fem.Function):
             check_mesh(self.law.name, self.law.value, V)  # Constants need no mesh
+
+    def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
+        """The offset (n,), or None; a ValueError for NaN and infinity; collective."""
+        if self.offset is None:
+            return None
+        return values_at_nodes("offset", self.offset, self.gap.function_space)[nodes]
 
     @property
     def friction(self) -> Limit | None:
@@ -298,6 +313,8 @@ class Contact(Unilateral, MortarInterface):
         tresca: limit of the tangential traction instead, at every slave node that faces the master;
             a step is then a convex minimisation. In axisymmetry per circumference at X for small
             strains.
+        offset: length added to the gap, as friction: g_j + D_jj^-1 int Phi_j o. Positive where
+            material was removed from the slave side (wear), negative for a shim or a coating.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.
@@ -316,10 +333,12 @@ class Contact(Unilateral, MortarInterface):
         feature_angle: float = FEATURE_ANGLE,
         friction: Limit | None = None,
         tresca: Limit | None = None,
+        offset: Limit | None = None,
     ) -> None:
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
         self.law = create_law(friction, tresca)
+        self.offset = check_offset(offset)
 
     @property
     def meets_itself(self) -> bool:

@@ -256,11 +256,12 @@ def tractions_of(
         along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
         traction += along
         change -= link.coupling.R[:, :, :1] * along[:, None]  # as tangents turn
+    offset = np.zeros(len(slave.nodes)) if link.coupling.offset is None else link.coupling.offset
     columns = np.zeros((len(slave.nodes), 2 * d + d * d + 1))
     columns[: slave.owned] = np.hstack([n, traction, change.reshape(len(n), d * d), kept])
     ends = np.cumsum([d, d, d * d])
     n, traction, change, mark = np.split(accumulate(slave, columns), ends, axis=1)
-    return Tractions(n, traction, change.reshape(-1, d, d)), mark[:, 0] > 0
+    return Tractions(n, traction, change.reshape(-1, d, d), offset), mark[:, 0] > 0
 
 
 def _turning(tool: Tool, x: Floats) -> Floats:
@@ -294,7 +295,9 @@ def _below_tool(
     per_point /= np.linalg.norm(scaled_normals(facets, xi), axis=2)
     duals = find_duals(side, segments, keep).of(which)
     at = per_point, phi.reshape(per_point.shape), by_x.reshape(*per_point.shape, k, d)
-    forces, gaps, D = differentiate_whole(facets, xi, *at, duals, given.tractions[nodes])
+    forces, gaps, D = differentiate_whole(
+        facets, xi, *at, duals, given.tractions[nodes], given.offset[nodes]
+    )
     by_n = np.einsum("fjl,fjic->flijc", D, given.changes[nodes])
     F_x, F_n, G_x = ([Blocks(nodes, nodes, v)] for v in (forces, by_n, gaps[:, :, None]))
     return Derivatives(F_x, F_n, G_x, G_n=[])

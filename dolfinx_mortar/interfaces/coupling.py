@@ -16,7 +16,7 @@ and -P^T R^-T z on the master.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -111,6 +111,7 @@ class Coupling:
     normals: Floats  # (n, d) outward; 0 if all directions are prescribed
     heights: Floats  # (n,) reduction of the gap n.(P x - x_j)
     coverage: Coverage
+    offset: Floats | None = None  # (local slave nodes,) added to the gap
     operators: MortarOperators | None = None
     common: CommonNormals | None = None  # of contacts between two sides
 
@@ -254,6 +255,22 @@ class CoupledSides:
         )
         slave[self.nodes] += forces
         return slave, master
+
+
+def with_offset(
+    coupling: Coupling, sides: Sides, pattern: Pattern, offset: Floats | None
+) -> Coupling:
+    """Coupling with D_jj^-1 sum_l D_jl o_l added to gaps, o at local slave nodes; collective."""
+    if offset is None:
+        return coupling
+    P, own = pattern.scalars, np.arange(len(pattern.row)) < pattern.split
+    P.fill((coupling.P[:, 0] * own)[:, None, None])
+    w = P.matrix.createVecRight()
+    w.array[:] = 0.0
+    w.array[sides.nodes] = offset[: sides.slave.owned]
+    mean = (w.array_r - (P.matrix * w).array_r)[sides.nodes]
+    heights = coupling.heights - np.where(coupling.kept[:, 0], mean, 0.0)
+    return replace(coupling, heights=heights, offset=offset)
 
 
 def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:

@@ -178,7 +178,10 @@ class Interface(Collective, Results, ABC):
         """
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Prescribed displacement (n, d) of tied sides at nodes (n,), or None; collective."""
+        """Displacement (n, d) of tied sides, length (n,) added to a gap, at nodes (n,); or None.
+
+        Collective.
+        """
         return None
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:

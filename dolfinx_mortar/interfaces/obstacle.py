@@ -19,7 +19,7 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
+from dolfinx_mortar.interfaces.constraints import Force, Limit, check_offset, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -84,7 +84,7 @@ class Obstacle(Movable, Unilateral):
         surface: as in `Contact`, for straight cells. "smooth" with displacements of first order
             takes distances at the nodes and does not see a tip between them; default "smooth", for
             flat sides of first order "facets".
-        friction, tresca: as in `Contact`.
+        friction, tresca, offset: as in `Contact`.
 
     Raises:
         ValueError: for an invalid argument; from the problem, for shapes not of revolution in
@@ -108,6 +108,7 @@ class Obstacle(Movable, Unilateral):
         surface: str | None = None,
         friction: Limit | None = None,
         tresca: Limit | None = None,
+        offset: Limit | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=slave)
         named = check_optional("surface", surface, SURFACES)
@@ -117,6 +118,7 @@ class Obstacle(Movable, Unilateral):
         )
         self.load = load or {}
         self.law = create_law(friction, tresca)
+        self.offset = check_offset(offset)
 
     def __repr__(self) -> str:
         said = f", shape={type(self.tool.shape).__name__}"

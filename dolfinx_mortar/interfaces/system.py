@@ -33,6 +33,7 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
+    with_offset,
 )
 from dolfinx_mortar.interfaces.interface import (
     Interface,
@@ -230,6 +231,10 @@ class InterfaceSystem:
                 found = interface.couple(sides, pairing, pattern, banned, at)
             if lasts:
                 reused.at_X[k] = found
+            if sides.unilateral:
+                found = with_offset(
+                    found, sides, pattern, interface.apart(self.V, sides.slave.nodes)
+                )
             links.append(Link(sides, pairing, pattern, found, banned, interface))
         return links
 

@@ -38,11 +38,12 @@ from dolfinx_mortar.mortar.surface import (
 
 @dataclass(frozen=True, eq=False)
 class Tractions:
-    """Normals and tractions at local slave nodes, as functions of the normals."""
+    """Normals, offsets, and tractions as functions of the normals, at local slave nodes."""
 
     normals: Floats  # (n, d) n_j; zero without multiplier
     tractions: Floats  # (n, d) c_j = lambda_j n_j + tau_j
     changes: Floats  # (n, d, d) dc_j/dn_j
+    offset: Floats  # (n,) o_l, which adds D_jl o_l to the weighted gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +106,24 @@ def _differentiate(
 
 
 def differentiate_whole(
-    facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats, duals: Duals, c: Floats
+    facets: Facets,
+    xi: Floats,
+    weights: Floats,
+    phi: Floats,
+    by_x: Floats,
+    duals: Duals,
+    c: Floats,
+    offset: Floats,
 ) -> tuple[Floats, Floats, Floats]:
     """Derivatives dF (f, k, d, k, d), dg (f, k, k, d), and D (f, k, k) on facets below a tool.
 
     For weights (f, q) on the reference facet, distances phi (f, q) and derivatives by_x (f, q, k,
-    d) at xi, tractions c (f, k, d).
+    d) at xi, tractions c (f, k, d), offsets (f, k).
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
     T = absorbing(element.shares, kept)
     basis = Basis(T, duals.inverse, kept)
-    fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
+    fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)), offset)
     sums = whole(facets, xi, weights, phi, by_x)
     found = apply(*sums, basis, fixed, facets.x, np.empty((p, 0, d)), k * d)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
@@ -171,7 +179,8 @@ def differentiate(
         )
         kept = duals.kept[s]
         basis = Basis(absorbing(slave.element.shares, kept), duals.inverse[s], kept)
-        fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
+        of_nodes = given.tractions[own], given.normals[own], normals[group.nodes]
+        fixed = Fixed(*of_nodes, given.offset[own])
         *heights, slopes = (v[group.pairs] for v in (*surfaces.heights, surfaces.slopes))
         some = surfaces._replace(heights=heights, slopes=slopes)
         found = _differentiate(sides, some, types, basis, fixed)
@@ -301,6 +310,7 @@ class Fixed(NamedTuple):
     c: Floats  # (p, k, d)
     n: Floats  # (p, k, d)
     n_m: Floats  # (p, m, d) n_l
+    offset: Floats  # (p, k)
 
 
 class Results(NamedTuple):
@@ -349,9 +359,10 @@ def apply(
     C *= basis.kept[:, :, None]  # unused rows
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
-    by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H
+    by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H - D o
     by_nodes[:, :k, :d], by_nodes[:, k:-1, :d] = -x, y
     by_nodes[:, k:-1, d:-1], by_nodes[:, -1, -1] = fixed.n_m, 1.0
+    by_nodes[:, :k, -1] = -fixed.offset
     moved: Floats = (changes.reshape(p, z * k, size) @ by_nodes).reshape(p, z, k, w)
     moved = C[:, None] @ moved + dC @ (moments @ by_nodes)[:, None]
     G = np.einsum("pji,pzji->pjz", fixed.n, moved[..., :d]) - moved[..., -1].swapaxes(1, 2)

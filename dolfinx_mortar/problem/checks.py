@@ -52,21 +52,23 @@ class StepData:
 
 
 def check_jumps(system: InterfaceSystem) -> None:
-    """Raise a ValueError on all ranks for NaN or too long jumps; collective."""
+    """Raise a ValueError on all ranks for NaN, or too long jumps or offsets; collective."""
     V, comm = system.V, system.V.mesh.comm
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
-        if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
+        if sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
             continue
+        name, what = "jump", "the displacement of the slave side relative to the master side"
+        if sides.unilateral:
+            name, what = "offset", "the length that is added to the gap"
         bad = comm.allreduce(int(np.sum(~np.isfinite(apart))))
         if bad:
             raise ValueError(
-                f"jump: {bad} values of {interface} are NaN or infinite; check its data"
+                f"{name}: {bad} values of {interface} are NaN or infinite; check its data"
             )
         if (longest := largest(comm, apart)) > (size := diagonal(V)):
             raise ValueError(
-                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
-                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
-                "master side, in the unit of the mesh"
+                f"{name}: {interface} has a component of {longest:.4g}, more than the whole "
+                f"model's diagonal, {size:.4g}: give {what}, in the unit of the mesh"
             )
 
 

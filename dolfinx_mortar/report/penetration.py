@@ -112,7 +112,8 @@ def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
     s, m = segments.slave[some], segments.master[some]
     x, y = points_of(slave, s, segments.xi_s[some]), points_of(master, m, segments.xi_m[some])
     depth = ((y - x) * facet_normals(master)[m]).sum(axis=1)
-    depth -= _deviations(own, u, link.interface.feature_angle)[own.facets].max(axis=1)[s]
+    off = _deviations(own, u, link.interface.feature_angle) + _removed(link)
+    depth -= off[own.facets].max(axis=1)[s]
     depth[(depth <= 0.0) | (depth >= pairing.deepest[segments.pair[some]])] = 0.0
     return _overlap(comm, depth, np.minimum(facet_sizes(slave.x)[s], facet_sizes(master.x)[m]), x)
 
@@ -153,9 +154,16 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
     depth = np.concatenate([-tool.distance(places).value, below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
-    off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
+    off = _deviations(side.slave, u, link.interface.feature_angle) + _removed(link)
+    off = off[side.slave.facets].max(axis=1)
     places = np.concatenate([places, point[met]])
     return _overlap(link.sides.V.mesh.comm, depth - off[which], sizes[which], places)
+
+
+def _removed(link: Link) -> Floats:
+    """Depth (local slave nodes,) of removed material, see `Contact`."""
+    offset = link.coupling.offset
+    return np.zeros(len(link.sides.slave.nodes)) if offset is None else np.maximum(offset, 0.0)
 
 
 def _overlap(comm: MPI.Comm, depth: Floats, size: Floats, place: Floats) -> Overlap | None:
@@ -255,6 +263,8 @@ def _create_skin(problem: ContactProblem, itself: Bools) -> npt.NDArray[Any]:
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
+            if j == 0 and problem.system.links:
+                off = off + _removed(problem.system.links[k])
             at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
             at[own, 1 + j * many + k] = 1.0
     for k in np.flatnonzero(itself):
