@@ -395,9 +395,9 @@ class Eigenstrain(Followed):
         f = self.function
         return ufl.inv(self.growth) if f.ufl_shape else 1 / (1 + f) * ufl.Identity(3)
 
-    def taken_from(self, measured: Expr, *, finite: bool) -> Expr:
+    def taken_from(self, measured: Expr) -> Expr:
         """Elastic part of a strain, or F_e of F."""
-        return measured * self.inverse if finite else measured - self.tensor
+        return measured * self.inverse if self._finite else measured - self.tensor
 
     def of_whole(self, response: Response) -> Response:
         """Response to F, per volume at X, of that to F_e, per volume of the stress-free state."""
@@ -428,20 +428,15 @@ class Eigenstrain(Followed):
         for source in self._sources:
             cells = source.cells[source.cells < owned]
             values = table[V.dofmap.list[cells].ravel()]
-            undefined = ~np.isfinite(values).all(axis=1)
-            skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
-            lowest = values[:, 0]
-            if V.dofmap.bs == 9:
-                largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
-                e = values.reshape(-1, 3, 3)
-                # derivatives of interpolated fields lose digits
-                apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
-                skew = apart.any(axis=(1, 2))
-                shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1)
-                out_of_plane = shear & ~undefined & (V.mesh.geometry.dim == 2)
-                lowest = np.linalg.eigvalsh(np.where(undefined[:, None, None], 0.0, e))[:, 0]
-            gone = (lowest <= -1.0) & self._finite
-            every = undefined, skew, out_of_plane, gone
+            e = values.reshape(-1, 3, 3) if V.dofmap.bs == 9 else values[..., None] * np.eye(3)
+            undefined = ~np.isfinite(e).all(axis=(1, 2))
+            e[undefined] = 0.0
+            largest = maximum(V.mesh.comm, np.abs(e).max(initial=0.0))[0]
+            # derivatives of interpolated fields lose digits
+            apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
+            shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1) & (V.mesh.geometry.dim == 2)
+            gone = (np.linalg.eigvalsh(e)[:, 0] <= -1.0) & self._finite
+            every = undefined, apart.any(axis=(1, 2)), shear, gone
             counts = np.array([part.sum() for part in every], dtype=int)
             bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
             told = {

@@ -146,15 +146,13 @@ class Solid(Term):
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         eigen, measured, points = self.eigenstrain, self.kinematics.measure(u), self.points
-        seen = measured if eigen is None else eigen.taken_from(measured, finite=finite)
+        seen = measured if eigen is None else eigen.taken_from(measured)
         dilatation = create_dilatation(u, self.volumetric, integral, seen, eigen)
-        at_points = seen
-        if finite:  # F - I, without round-off of 1
-            at_points = ufl.derivative(measured, u, u)
-            if eigen is not None:
-                at_points = (at_points - eigen.tensor) * eigen.inverse
-        elif dilatation is not None:  # also pointwise laws get the deviator
-            seen = at_points = ufl.dev(seen)
+        if dilatation is not None and not finite:  # also pointwise laws get the deviator
+            seen = ufl.dev(seen)
+        at_points = ufl.derivative(seen, u, u) if finite else seen  # F - I, exact if small
+        if finite and eigen is not None:
+            at_points -= eigen.tensor * eigen.inverse
         inputs = [u] if eigen is None else [u, eigen.function]
         how = self.state, inputs, degree
         points.found = create_point_values(self.regions, at_points, *how, finite=finite)
