@@ -3,11 +3,13 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
+from tests.cases.meshes_3d import rotation
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import rejected
 from tests.cases.rings import held_ends, shrink_fit_pressure, tubes
@@ -18,7 +20,10 @@ from tests.cases.solid import (
     largest,
     plane,
     rectangle,
+    residual,
     rollers,
+    set_wave,
+    solid_on,
     stand,
     total,
 )
@@ -39,27 +44,119 @@ def displacement(d):
     return create_displacement(block(d))
 
 
+def held_as_a_rigid_body(V):
+    """Hold a point, and where a second and third one may go."""
+    bcs, d = [], V.mesh.geometry.dim
+    for axes, at in (((0, 1, 2), (0, 0, 0)), ((1, 2), (1, 0, 0)), ((2,), (0, 1, 0))):
+        for W in (V.sub(i) for i in axes if i < d):
+            f = fem.Function(W.collapse()[0])
+            dofs = fem.locate_dofs_geometrical(
+                (W, f.function_space), lambda x, at=at: np.isclose(x.T, at).all(axis=1)
+            )
+            bcs.append(fem.dirichletbc(f, dofs, W))
+    return bcs
+
+
 def test_a_free_body_takes_the_strain_and_has_no_stress():
-    """Only rigid motions are held: at a point, and where a second and third one may go."""
-
-    def supports(V):
-        bcs = []
-        for axes, at in (((0, 1, 2), (0, 0, 0)), ((1, 2), (1, 0, 0)), ((2,), (0, 1, 0))):
-            for W in (V.sub(i) for i in axes):
-                f = fem.Function(W.collapse()[0])
-                dofs = fem.locate_dofs_geometrical(
-                    (W, f.function_space), lambda x, at=at: np.isclose(x.T, at).all(axis=1)
-                )
-                bcs.append(fem.dirichletbc(f, dofs, W))
-        return bcs
-
-    problem = stand(block(3), LAW, supports, eigenstrain=TENSOR.tolist())
+    problem = stand(block(3), LAW, held_as_a_rigid_body, eigenstrain=TENSOR.tolist())
     dm.newton(problem, rtol=1e-13)
     u = problem.u
     assert largest(problem.solid.stress.x.array) < 1e-11 * E * 2e-3
     for (i, j), strain in np.ndenumerate(TENSOR):
         found = fem.assemble_scalar(fem.form(ufl.sym(ufl.grad(u))[i, j] * ufl.dx))
         assert COMM.allreduce(found) == pytest.approx(strain, rel=1e-10, abs=1e-14)
+
+
+RUBBER, SOFT = dm.NeoHooke(E, NU), dm.MooneyRivlin(10.0, 5.0, 1e3)
+KINEMATIC, PLASTIC = dm.VonMises(E, NU, 5.0, 50.0), dm.VonMises(E, NU, 5.0, 0.0, 50.0)
+PLATE, MEAN = {"kinematics": "plane_stress"}, {"volumetric": "reduced"}
+MAPPED = [(RUBBER, PLATE), (RUBBER, {}), (SOFT, MEAN), (PLASTIC, PLATE), (KINEMATIC, MEAN)]
+MAPPED += [(Radial(E, NU, 5.0, 50.0), {}), (LAW, {})]
+
+
+@pytest.mark.parametrize(("law", "options"), quick(MAPPED, MAPPED[0], MAPPED[4]))
+def test_a_strip_that_bends_by_heat_alone(law, options):
+    """Conformal maps turn and stretch evenly: z + a z^2 has no stress if |1 + 2 a z| grows."""
+    domain = rectangle([(0, 0), (1, 0.5)], (4, 3), "quadrilateral")
+    (x, y), a = ufl.SpatialCoordinate(domain), fem.Constant(domain, 0.0)
+    growth = ufl.sqrt((1 + 2 * a * x) ** 2 + (2 * a * y) ** 2) - 1
+    if options is not PLATE:  # none out of the plane
+        growth = ufl.as_tensor([[growth, 0, 0], [0, growth, 0], [0, 0, 0]])
+    how = {"strain": "finite", "degree": 2, "eigenstrain": growth} | options
+    problem = stand(domain, law, held_as_a_rigid_body, **how)
+    exact, steep = fem.Function(problem.V), "volumetric" in options
+    exact.interpolate(lambda x: [x[0] ** 2 - x[1] ** 2, 2 * x[0] * x[1]])
+    for a.value in (0.02,) if steep else (0.02, 0.2):
+        forces = [it.force_residual for it in dm.newton(problem, rtol=1e-12).iterations]
+        problem.commit()
+        assert len(forces) <= 9 and forces[-1] < max(forces[-2] ** 1.5, 1e-11)
+        assert largest(problem.u.x.array - a.value * exact.x.array) < 1e-10
+        assert largest(problem.solid.stress.x.array) < 1e-10 * E
+
+
+@pytest.mark.parametrize("law", [LAW, RUBBER])
+@pytest.mark.parametrize("kinematics", ["plane_strain", "plane_stress", "axisymmetric", "spatial"])
+def test_a_bar_between_walls(kinematics, law):
+    """Stress, width and energy of a bar that is heated by 20 %: Hencky's law, and a neo-Hookean."""
+    d, e, free = 3 if kinematics == "spatial" else 2, 0.2, 2 - (kinematics == "plane_strain")
+    domain, axis = rectangle([d * [0], d * [1]], d * [2]), d - 1
+    how = {"kinematics": kinematics, "strain": "finite", "eigenstrain": e}
+    problem = stand(domain, law, lambda V: [*rollers(V), hold(V, plane(axis, 1.0), axis)], **how)
+    dm.newton(problem, rtol=1e-12)
+    mu, lam = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
+    held = -np.log(1 + e)  # logarithmic elastic strains, the same along and in plane strain across
+
+    def stress(one, other):  # times the volume ratio, where other is the strain of the free sides
+        volume = lam * (free * other + (3 - free) * held)
+        return volume + mu * (2 * one if law is LAW else np.expm1(2 * one))
+
+    wide = brentq(lambda log: stress(log, log), -1.0, 1.0, xtol=1e-15)
+    found = problem.solid.fields.values("stress")
+    J = np.exp(free * wide + (3 - free) * held)
+    assert largest(found[..., axis] - stress(held, wide) / J) < 1e-9 * E
+    assert largest(found[..., 0]) < 1e-9 * E
+    assert largest(problem.u.x.array) == pytest.approx((1 + e) * np.exp(wide) - 1, rel=1e-9)
+    squares = [
+        free * f(wide) + (3 - free) * f(held) for f in (np.square, lambda x: np.expm1(2 * x))
+    ]
+    energy = squares[0] if law is LAW else squares[1] / 2 - np.log(J)
+    energy = lam / 2 * np.log(J) ** 2 + mu * energy
+    area = np.pi if kinematics == "axisymmetric" else 1.0
+    assert total(problem.solid.energy()) == pytest.approx(area * (1 + e) ** 3 * energy, rel=1e-9)
+
+
+@pytest.mark.parametrize(("law", "options"), [(SOFT, MEAN), (KINEMATIC, {})])
+def test_what_is_turned_afterwards(law, options):
+    """Energy and nodal forces of a body with a strain that has directions."""
+    domain = block(3, 2, "hexahedron")
+    how = {"strain": "finite", "eigenstrain": 50 * TENSOR} | options
+    solid, R = solid_on(domain, law, **how), rotation([1.0, 2.0, -1.0], 2.0)
+    X = solid.V.tabulate_dof_coordinates()
+    set_wave(solid.u, 0.05)
+    x = X + solid.u.x.array.reshape(-1, 3)
+    found = []
+    for turn in (np.eye(3), R):
+        solid.u.x.array[:] = (x @ turn.T - X).ravel()
+        found.append((total(solid.energy()), residual(solid).reshape(-1, 3) @ turn))
+    (energy, forces), (same, turned) = found
+    assert same == pytest.approx(energy, rel=1e-12)
+    assert largest(turned - forces) < 1e-12 * largest(forces)
+
+
+@pytest.mark.parametrize("options", [{}, PLATE, {"kinematics": "axisymmetric"} | MEAN])
+def test_small_and_finite_strain_differ_by_the_square(options):
+    domain, apart = rectangle([(0, 0), (1, 1)], (3, 3)), []
+    heat = fem.Constant(domain, 0.0)
+    given = {"eigenstrain": heat * ufl.SpatialCoordinate(domain)[1]} | options
+    held = [
+        stand(domain, LAW, lambda V: [hold(V, plane(1)), hold(V, plane(0), 0)], **given, strain=s)
+        for s in ("small", "finite")
+    ]
+    for heat.value in (2e-3, 1e-3):
+        for problem in held:
+            dm.newton(problem, rtol=1e-11)
+        apart.append(largest(held[0].u.x.array - held[1].u.x.array))
+    assert apart[0] / apart[1] == pytest.approx(4.0, abs=0.05)
 
 
 def test_a_tensor_that_is_not_symmetric():
@@ -185,6 +282,8 @@ def test_a_shrink_fit_by_cooling(slave):
         ({7: 1e-3}, "eigenstrain: no cell has the tag 7; cell_tags has 1, 2"),
         ({1: np.nan}, "eigenstrain[1] is NaN or infinite at "),
         ([[0, 0, 1e-3], [0, 0, 0], [1e-3, 0, 0]], "has components xz or yz at "),
+        ({2: -1.0}, "eigenstrain[2] is -1 or below at "),
+        (np.diag([0.1, -2.0, 0.0]), "eigenstrain is -1 or below at "),
         (True, "eigenstrain is True: give a scalar"),
         (1j, "eigenstrain is 1j: give a scalar "),
         (lambda u: u[0], "depends on the displacement"),
@@ -193,10 +292,11 @@ def test_a_shrink_fit_by_cooling(slave):
 )
 def test_what_is_no_eigenstrain_is_refused(given, said):
     domain, cell_tags, _ = tubes((1.0, 1.5, 2.0), ((2, 2), (3, 2)))
+    how = {"strain": "finite"} if "-1" in said else {}
     u = create_displacement(domain)
     with rejected(said):
         given = given(u) if callable(given) else given
-        dm.Solid(u, {1: LAW, 2: LAW}, cell_tags, eigenstrain=given)
+        dm.Solid(u, {1: LAW, 2: LAW}, cell_tags, eigenstrain=given, **how)
     with rejected("dictionary by cell tag: give an entry, and cell_tags"):
         dm.Solid(u, LAW, eigenstrain={1: 1e-3})
 

@@ -277,7 +277,6 @@ def test_cells_that_invert():
     ("options", "words"),
     [
         ({"strain": "large"}, ("strain", "'small' or 'finite'")),
-        ({"strain": "finite", "eigenstrain": 0.01}, ("eigenstrain", "finite")),
         ({}, ("NeoHooke", "strain='finite'")),
         (
             {"strain": "finite", "kinematics": "plane_stress", "volumetric": "reduced"},

@@ -157,28 +157,31 @@ class CommittedData:
             self._kept = [f.x.array.copy() for f in self._functions]
         return self._kept
 
-    def differ(self) -> bool:
-        """Whether present values on this rank differ."""
+    def differ(self) -> list[bool]:
+        """Whether present values on this rank differ, of each Function, u the first."""
         now = [f.x.array for f in self._functions]
-        return not all(map(np.array_equal, now, self.complete()))
+        return [not np.array_equal(*pair) for pair in zip(now, self.complete(), strict=True)]
 
     @cached_property
     def change(self) -> tuple[fem.Form, list[fem.Function]]:
-        """Form int C : (eps(w) - e) : eps(v) at small strain, and w, e."""
+        """Form int C : (eps(w) - e) : eps(v), at finite strain C : (-F_e e) : dF[v], and w, e."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         changes, v = [fem.Function(V)], ufl.TestFunction(V)
         strain, virtual = (kinematics.virtual(self._u, along) for along in (changes[0], v))
-        if self._eigenstrain is not None:
-            changes.append(self._eigenstrain.function.copy())
-            strain -= self._eigenstrain.tensor_of(changes[1])
+        if (eigen := self._eigenstrain) is not None:
+            changes.append(eigen.function.copy())
+            by = eigen.tensor_of(changes[1])
+            whole = kinematics.measure(self._u)
+            strain = -whole * eigen.inverse * by if kinematics.finite else strain - by
         densities = (ufl.inner(r.change(strain), virtual) for r in self._responses)
         return fem.form(self._integral(densities)), changes
 
     @contextmanager
     def put(self) -> Iterator[None]:
-        """Restore the committed values within a block."""
+        """Restore the committed values, at finite strain not of u, within a block."""
+        first = int(self._integral.kinematics.finite)
         with unchanged(self._functions):
-            for f, values in zip(self._functions, self.complete(), strict=True):
+            for f, values in zip(self._functions[first:], self.complete()[first:], strict=True):
                 f.x.array[:] = values
             yield
 

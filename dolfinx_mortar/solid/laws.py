@@ -4,7 +4,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from numbers import Number
 from operator import add
@@ -359,9 +359,15 @@ class Eigenstrain(Followed):
     """
 
     def __init__(
-        self, u: fem.Function, parts: Sequence[tuple[str, Expr, Ints]], degree: int
+        self,
+        u: fem.Function,
+        parts: Sequence[tuple[str, Expr, Ints]],
+        degree: int,
+        *,
+        finite: bool,
     ) -> None:
         """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
+        self._finite = finite
         full = any(value.ufl_shape for _, value, _ in parts)
         shape = (9,) if full else ()
         function = point_function(u.function_space.mesh, degree, shape, "eigenstrain")
@@ -378,6 +384,35 @@ class Eigenstrain(Followed):
         """The eigenstrain as a 3x3 tensor in UFL."""
         return self.tensor_of(self.function)
 
+    @property
+    def growth(self) -> Expr:
+        """Deformation gradient of the stress-free state, I + eigenstrain."""
+        return ufl.Identity(3) + self.tensor
+
+    @property
+    def inverse(self) -> Expr:
+        """Inverse of `growth`."""
+        f = self.function
+        return ufl.inv(self.growth) if f.ufl_shape else 1 / (1 + f) * ufl.Identity(3)
+
+    def taken_from(self, measured: Expr) -> Expr:
+        """Elastic part of a strain, or F_e of F."""
+        return measured * self.inverse if self._finite else measured - self.tensor
+
+    def of_whole(self, response: Response) -> Response:
+        """Response to F, per volume at X, of that to F_e, per volume of the stress-free state."""
+        inverse, J = self.inverse, ufl.det(self.growth)
+
+        def stress(P: Expr) -> Expr:
+            return J * P * inverse
+
+        return replace(
+            response,
+            stress=stress(response.stress),
+            energy=None if response.energy is None else J * response.energy,
+            change=lambda direction: stress(response.change(direction * inverse)),
+        )
+
     @staticmethod
     def tensor_of(f: fem.Function) -> Expr:
         """3x3 tensor of a Function such as `function`."""
@@ -386,29 +421,29 @@ class Eigenstrain(Followed):
         return ufl.sym(ufl.as_tensor([[f[3 * i + j] for j in range(3)] for i in range(3)]))
 
     def judge(self) -> None:
-        """Raise a ValueError for NaN, infinity, asymmetry, or shear out of the plane."""
+        """Raise a ValueError for NaN, infinity, asymmetry, shear out of the plane, or -1."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         table = self.function.x.array.reshape(-1, V.dofmap.bs)
         for source in self._sources:
             cells = source.cells[source.cells < owned]
             values = table[V.dofmap.list[cells].ravel()]
-            undefined = ~np.isfinite(values).all(axis=1)
-            skew, out_of_plane = np.zeros((2, len(undefined)), dtype=bool)
-            if V.dofmap.bs == 9:
-                largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
-                e = values.reshape(-1, 3, 3)
-                # derivatives of interpolated fields lose digits
-                apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
-                skew = apart.any(axis=(1, 2))
-                shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1)
-                out_of_plane = shear & ~undefined & (V.mesh.geometry.dim == 2)
-            counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
+            e = values.reshape(-1, 3, 3) if V.dofmap.bs == 9 else values[..., None] * np.eye(3)
+            undefined = ~np.isfinite(e).all(axis=(1, 2))
+            e[undefined] = 0.0
+            largest = maximum(V.mesh.comm, np.abs(e).max(initial=0.0))[0]
+            # derivatives of interpolated fields lose digits
+            apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
+            shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1) & (V.mesh.geometry.dim == 2)
+            gone = (np.linalg.eigvalsh(e)[:, 0] <= -1.0) & self._finite
+            every = undefined, apart.any(axis=(1, 2)), shear, gone
+            counts = np.array([part.sum() for part in every], dtype=int)
             bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
             told = {
                 "is NaN or infinite": "check what it depends on",
                 "is not symmetric": "give its symmetric part, ufl.sym(..) or (e + e.T) / 2",
                 "has components xz or yz": "bodies in the plane cannot follow: set them to 0",
+                "is -1 or below": "it is a change of lengths, over the lengths",
             }
             for count, (what, remedy) in zip(bad, told.items(), strict=True):
                 if count:
@@ -418,7 +453,7 @@ class Eigenstrain(Followed):
 
 
 def create_eigenstrain(
-    u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
+    u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int, *, finite: bool
 ) -> Eigenstrain | None:
     """Eigenstrain given by a user, or None; collective."""
     if given is None:
@@ -436,7 +471,7 @@ def create_eigenstrain(
     for name, value, cells in of_cells:
         with raised_together(domain.comm):
             parts.append((name, _as_expression(u, name, value), cells))
-    found = Eigenstrain(u, parts, degree)
+    found = Eigenstrain(u, parts, degree, finite=finite)
     found.follow()
     return found
 

@@ -163,7 +163,11 @@ TRACED = (plane_strain, axisymmetric, spatial)
 
 
 def create_dilatation(
-    u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
+    u: fem.Function,
+    given: Any,
+    integral: Integral,
+    elastic: Expr,
+    eigenstrain: Eigenstrain | None,
 ) -> MeanVolume | None:
     """Volumetric part in the mean, None for "full"; a ValueError for other choices; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
@@ -193,7 +197,7 @@ def create_dilatation(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
-    return MeanVolume(u, integral, eigenstrain)
+    return MeanVolume(u, integral, elastic, eigenstrain)
 
 
 def bulk_modulus_of(region: Region) -> Expr:
@@ -237,9 +241,9 @@ class MeanVolume:
     """
 
     def __init__(
-        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+        self, u: fem.Function, integral: Integral, elastic: Expr, eigenstrain: Eigenstrain | None
     ) -> None:
-        """Compile; collective."""
+        """Compile, for a strain without the eigenstrain; collective."""
         V, regions, self._finite = u.function_space, integral.regions, integral.kinematics.finite
         dx = measure(V.mesh, integral.degree)
         second = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
@@ -248,13 +252,16 @@ class MeanVolume:
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
         self._ratio.x.array[:: cells.size] = 1.0 * self._finite
         self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # j, for derivatives
-        self._gradient = integral.kinematics.measure(u)
-        if eigenstrain is not None:
-            self._gradient -= eigenstrain.tensor
+        self._gradient, growth = elastic, ufl.as_ufl(1.0)
+        if self._finite and eigenstrain is not None:
+            growth = ufl.det(eigenstrain.growth)
+        self._pressure = self.cells.field(self.mean_stress) / growth
         of_point = ufl.det(self._gradient) if self._finite else ufl.tr(self._gradient)
         change = ufl.derivative(of_point, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
-        energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
+        energy, slope, stiffness = (
+            [growth * self._slope(r, k, j) for r in regions] for k in range(3)
+        )
         B, self._volume_form, self._bulk_form, *self._energy_forms = fem.form(
             [
                 cells.tested(change) * integral.weight * dx,
@@ -281,7 +288,7 @@ class MeanVolume:
 
         At small strain that of the deviator, which has neither.
         """
-        F, p = self._gradient, self.cells.field(self.mean_stress)
+        F, p = self._gradient, self._pressure
         if not self._finite:
             return dataclasses.replace(
                 response,

@@ -84,7 +84,10 @@ class PointValuesOfRegion:
         *,
         finite: bool,
     ) -> None:
-        """Create the Functions, which depend on the inputs, the first of which is u; collective."""
+        """Create the Functions, which depend on the inputs; collective.
+
+        The strain is F - I if `finite`: it may be far below round-off of 1.
+        """
         self.region, self._mesh, self._finite = region, region.mesh, finite
         self._committed = {name: state[name] for name in region.law.state}
         self._inputs = [region.function, *self._committed.values(), *inputs]
@@ -98,9 +101,7 @@ class PointValuesOfRegion:
         self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if self.at_points.has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
-        # F - I: strains may be far below round-off of 1
-        measured = ufl.derivative(strain, inputs[0], inputs[0]) if finite else strain
-        nine = ufl.as_vector([measured[i, j] for i in range(3) for j in range(3)])
+        nine = ufl.as_vector([strain[i, j] for i in range(3) for j in range(3)])
         part = Part(f"{law.name}: the strain", self._stress, nine)
         self._strain = create_source(region.cells, part)
         self._new = {name: f.copy() for name, f in self._committed.items()}
@@ -222,7 +223,7 @@ def create_point_values(
     *,
     finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Values computed at points before each assembly; of F if `finite`; collective."""
+    """Values computed at points before each assembly; of F - I if `finite`; collective."""
     given = strain, state, inputs, degree
     return {
         region.law: PointValuesOfRegion(region, *given, finite=finite)

@@ -16,7 +16,7 @@ from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
-from dolfinx_mortar.common.arguments import FLAG, check, instance, integer
+from dolfinx_mortar.common.arguments import FLAG, check, instance, integer, one_of
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import check_real, check_space
 from dolfinx_mortar.materials import Material
@@ -39,7 +39,7 @@ from dolfinx_mortar.solid.points import (
     PointState,
 )
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
-from dolfinx_mortar.solid.sources import PointGradients, Volumes, as_cauchy, check_finite, unchanged
+from dolfinx_mortar.solid.sources import PointGradients, Volumes, as_cauchy, unchanged
 from dolfinx_mortar.solid.term import Term, assemble
 
 # Written first.
@@ -60,7 +60,7 @@ class Solid(Term):
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
         volumetric: "full" or "reduced".
         regions: the cells of each law, with its parameters.
-        eigenstrain: at the integration points, or None; subtracted from the strain.
+        eigenstrain: at the integration points, or None; taken from the strain.
         stress: quadrature Function, stored as tensors of `state`; Cauchy's at finite strain.
         fields: results of `evaluate` at the integration points.
         gradients: strain and rotation at u, at the integration points.
@@ -97,12 +97,13 @@ class Solid(Term):
             eigenstrain: strain without stress (thermal, misfit, initial): a scalar (isotropic) or a
                 3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
                 coordinates; or a dictionary of such by cell tag or name, zero at other tags. Its
-                data may change between steps.
+                data may change between steps. At finite strain F = F_e (I + eigenstrain), above
+                -1, and laws see F_e.
             volumetric: "full", or "reduced" (mean dilatation) against volumetric locking of
                 quadrilaterals and hexahedra, see `mean_volume`; at finite strain also for other
                 cells of degree 2. For laws that split, see `Material`.
             strain: "small", or "finite" for large rotations and strains above a few percent: laws
-                of F = I + grad u, virtual work int P : dF[v] dX. Without eigenstrain.
+                of F = I + grad u, virtual work int P : dF[v] dX.
             energies: whether to evaluate `energies` and the fields "stored_energy" and
                 "dissipated_energy" in each step; all laws need a potential.
 
@@ -128,14 +129,15 @@ class Solid(Term):
         check_space(u.function_space, "u")
         self.u, domain = u, u.function_space.mesh
         self.kinematics = choose_kinematics(kinematics, domain.geometry.dim)
-        check_finite(strain, eigenstrain)
-        if strain == "finite":
+        if check("strain", strain, one_of("small", "finite")) == "finite":
             self.kinematics = self.kinematics.of_finite_strain()
         check_radius(self.kinematics, domain)
         degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
         check("energies", energies, FLAG)
-        self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
+        self.eigenstrain = create_eigenstrain(
+            u, eigenstrain, cell_tags, degree, finite=strain == "finite"
+        )
         self.points = PointState(self.regions, degree, self.eigenstrain, energies)
         self.stress, self.volumetric = self.points.stress, volumetric
         integral = Integral(self.regions, self.kinematics, degree)
@@ -143,25 +145,30 @@ class Solid(Term):
 
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
-        dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
-        measured, points = self.kinematics.measure(u), self.points
-        eigenstrain = None if self.eigenstrain is None else self.eigenstrain.tensor
-        seen = measured if eigenstrain is None else measured - eigenstrain
+        eigen, measured, points = self.eigenstrain, self.kinematics.measure(u), self.points
+        seen = measured if eigen is None else eigen.taken_from(measured)
+        dilatation = create_dilatation(u, self.volumetric, integral, seen, eigen)
         if dilatation is not None and not finite:  # also pointwise laws get the deviator
             seen = ufl.dev(seen)
-        inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        how = self.regions, seen, self.state
-        points.found = create_point_values(*how, inputs, degree, finite=finite)
-        responses = create_responses(*how, points.found)
+        at_points = ufl.derivative(seen, u, u) if finite else seen  # F - I, exact if small
+        if finite and eigen is not None:
+            at_points -= eigen.tensor * eigen.inverse
+        inputs = [u] if eigen is None else [u, eigen.function]
+        how = self.state, inputs, degree
+        points.found = create_point_values(self.regions, at_points, *how, finite=finite)
+        responses = create_responses(self.regions, seen, self.state, points.found)
         if dilatation is not None:
             pairs = zip(self.regions, responses, strict=True)
             responses = [dilatation.complete(*pair) for pair in pairs]
+        if finite and eigen is not None:
+            responses = [eigen.of_whole(response) for response in responses]
         whole = measured
         if finite and self.kinematics.plane_stress:
-            whole = with_normal(measured, 1 + normal_strain(points.found))
+            normal = 1 + normal_strain(points.found)
+            whole = with_normal(measured, normal if eigen is None else normal * eigen.growth[2, 2])
         self.volumes = Volumes(u, whole, degree) if finite else None
         self.gradients = PointGradients(
-            *(u, self.kinematics, eigenstrain, self.stress),
+            *(u, self.kinematics, None if eigen is None or finite else eigen.tensor, self.stress),
             small=not finite and self.kinematics.linear_in(u),
         )
         points.shown |= {} if self.volumes is None else {"J": self.volumes.J}
@@ -177,7 +184,7 @@ class Solid(Term):
         cauchy = [as_cauchy(r, whole) for r in responses] if finite else responses
         points.evaluations = create_evaluations(self.regions, cauchy, points.staged, self.stress)
         points.evaluations += [] if self.volumes is None else [self.volumes.source]
-        self.forms = Forms(u, responses, integral, dilatation, self.eigenstrain)
+        self.forms = Forms(u, responses, integral, dilatation, eigen)
 
     @property
     def V(self) -> fem.FunctionSpace:
@@ -373,12 +380,17 @@ def _root(solid: Solid, share: float) -> float:
 def flows_at_start(solid: Solid) -> bool:
     """Whether changes since the last commit may make bodies flow; collective.
 
-    A step then begins with `add_first_forces` and `add_first_tangent`. False at finite strain.
+    A step then begins with `add_first_forces` and `add_first_tangent`. At finite strain whether the
+    eigenstrain has changed, and u has not: the stress that it makes may be beyond buckling.
     """
-    if not solid.gradients.small or not solid.state:
+    finite = solid.kinematics.finite
+    if solid.eigenstrain is None if finite else not (solid.gradients.small and solid.state):
         return False
     solid.follow()
-    if not any_rank(solid.mesh.comm, solid.forms.committed.differ())[0]:
+    moved, *others = any_rank(solid.mesh.comm, *solid.forms.committed.differ())
+    if finite:
+        return bool(others[0] and not moved)
+    if not (moved or any(others)):
         return False
     with unchanged(solid.points.lasting_fields().values()):
         solid.evaluate()
@@ -386,9 +398,11 @@ def flows_at_start(solid: Solid) -> bool:
 
 
 def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
-    """Add forces linearised about the committed state, at small strain, to F; collective.
+    """Add forces linearised about the committed state to F; collective.
 
-        F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
+        F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state;
+
+    at finite strain about u and the committed eigenstrain, F(u, e_n) - int C : F_e (e - e_n) : dF.
 
     The stress by an eigenstrain e or parameters, bounded by yield, does not measure the distance to
     equilibrium.

@@ -21,7 +21,6 @@ from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.common import compat
-from dolfinx_mortar.common.arguments import check, one_of
 from dolfinx_mortar.common.arrays import Floats, Ints
 from dolfinx_mortar.common.spaces import check_real
 from dolfinx_mortar.materials.response import Response
@@ -203,17 +202,6 @@ def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
                 f"{name} is NaN or infinite at {count:.0f} integration points or more; "
                 "check the law with dolfinx_mortar.materials.check and its parameters"
             )
-
-
-def check_finite(strain: Any, eigenstrain: Any) -> None:
-    """Raise a ValueError for an unknown strain, and arguments that exclude a finite one."""
-    check("strain", strain, one_of("small", "finite"))
-    if strain == "finite" and eigenstrain is not None:
-        raise ValueError(
-            "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
-            "from a small strain, while F would have to be split into a product; leave eigenstrain "
-            "out, or choose strain='small'"
-        )
 
 
 class Volumes:
