@@ -38,6 +38,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
+from dolfinx_mortar.sensitivity import sensitivity
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.steps.newton import newton
@@ -92,6 +93,7 @@ __all__ = [
     "plotting",
     "reaction",
     "segments",
+    "sensitivity",
     "shapes",
     "summarise",
     "time_steps",
