@@ -111,7 +111,6 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
             try:
                 return step.solve()
             finally:
-                problem.linear.clear()
                 vars(problem).update(parts)
                 problem.undo(before)
     finally:
@@ -132,7 +131,9 @@ class _Tangent:
         qp, bounds, limits = replace(lin.qp, extent=0.0), balance.bounds, balance.limits
         if qp.product is not None:
             qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
-        problem.linear.set_matrix(qp.A, definite=qp.definite, near=qp.near)
+        self.linear = copy(problem.linear)
+        self.linear.abandon()
+        self.linear.set_matrix(qp.A, definite=qp.definite, near=qp.near)
         self.T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
         self.problem, self.contacts, self.qp = problem, contacts, qp
         self.limits: Any = limits
@@ -200,7 +201,7 @@ class _Tangent:
             law.put(b, law.pick(b) - slid)
             law = replace(law, rest=w_t - slid, cohesion=cohesion)
         qp = replace(self.qp, b=problem.vector(b), upper=upper, friction=law)
-        held = HeldProblem(qp, problem.linear, problem.vector(), SAME)
+        held = HeldProblem(qp, self.linear, problem.vector(), SAME)
         held.solve(self.state, TIGHT)
         z = held.z.array_r
         dt[0, self.nodes] = z[self.normal] / self.D
@@ -363,8 +364,9 @@ class _Step:
         if weak := self.tangent.weak:
             self.notes.append(f"{weak} nodes are about to open or close: one-sided derivatives")
         ways = [way for k, p in enumerate(self.to) for way in self.ways(f"to[{k}]", p)]
-        rates = [()] * len(ways) if self.rates is None else self.rates[:, None]
+        rates: Any = [()] * len(ways) if self.rates is None else self.rates[:, None]
         found = [self.direct(way, *rate) for way, rate in zip(ways, rates, strict=True)]
+        self.tangent.linear.clear()
         columns = np.stack([one for one, _ in found], axis=-1)
         ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
         *values, state = np.split(columns, ends)
