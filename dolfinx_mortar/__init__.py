@@ -39,6 +39,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
 from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
+from dolfinx_mortar.sensitivity import sensitivity
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.steps.newton import newton
@@ -95,6 +96,7 @@ __all__ = [
     "plotting",
     "reaction",
     "segments",
+    "sensitivity",
     "shapes",
     "summarise",
     "time_steps",

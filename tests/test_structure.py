@@ -46,6 +46,9 @@ BELOW = {
         *("common", "algebra", "mortar", "interfaces", "solid", "terms", "qp"),
         *("audit", "persistence", "problem", "report", "heat"),
     },
+    "sensitivity": {
+        *("common", "algebra", "interfaces", "persistence", "problem", "qp", "report"),
+    },
 }
 FLOORS = 8
 FOREIGN = {  # libraries that a layer must not import
