@@ -55,11 +55,16 @@ TYPES = {
 }
 
 
+def set_names(known: Mapping[str, Any]) -> list[str]:
+    """Names that are no numbers of nodes or elements."""
+    return [key for key in known if not key.rpartition(".")[2].isdigit()]
+
+
 def find_name(known: Mapping[str, Any], name: str, sort: str) -> Any:
     """What has a name, or a ValueError that lists the names."""
     if name not in known:
-        names = [key for key in known if not key.rpartition(".")[2].isdigit()]
-        raise ValueError(f"there is no {sort} {name!r}; known are {', '.join(names[:20])}")
+        names = ", ".join(set_names(known)[:20])
+        raise ValueError(f"there is no {sort} {name!r}; known are {names}")
     return known[name]
 
 
@@ -106,9 +111,7 @@ class Deck:
         for surface, rows in surfaces.items():
             marked = np.zeros((len(owner), len(faces)), dtype=bool)
             marked[tuple(rows.T)] = True
-            self.surfaces[surface] = found = np.intersect1d(facets[marked[original]], exterior)
-            if not comm.allreduce(len(found)):
-                raise ValueError(f"the surface {surface!r} has no facet on the boundary of a body")
+            self.surfaces[surface] = np.intersect1d(facets[marked[original]], exterior)
         number = domain.geometry.input_global_indices
         self.nodes = {name: np.flatnonzero(np.isin(number, rows)) for name, rows in nodes.items()}
         self.interfaces: list[Contact | Tie] = []
@@ -121,14 +124,18 @@ class Deck:
         """Tags 1, 2 .. of these surfaces, by default all; collective.
 
         Raises:
-            ValueError: for unknown names, and surfaces with a facet in common.
+            ValueError: for unknown names, surfaces without a facet, and two with a common one.
         """
         dim = self.mesh.topology.dim - 1
         values = np.zeros(self.mesh.topology.index_map(dim).size_local, dtype=np.int32)
         names = names or (*self.surfaces,)
         for i, name in enumerate(names, 1):
             facets = find_name(self.surfaces, name, "surface")
-            if self.mesh.comm.allreduce(int(values[facets].any())):
+            counts = np.array([len(facets), np.count_nonzero(values[facets])])
+            some, shared = self.mesh.comm.allreduce(counts)
+            if not some:
+                raise ValueError(f"the surface {name!r} has no facet on the boundary of a body")
+            if shared:
                 raise ValueError(
                     f"the surface {name!r} has facets of one before it, among {', '.join(names)}, "
                     "but a facet has one tag: take it into tags of its own"

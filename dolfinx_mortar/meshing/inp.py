@@ -23,7 +23,7 @@ from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.plasticity import VonMises
-from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, find_name
+from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, find_name, set_names
 from dolfinx_mortar.meshing.full_cells import full_cells, missing_nodes
 
 VARIANTS = "RHIMTS"  # reduced, hybrid, incompatible, modified, thermal, stresses at surfaces
@@ -32,7 +32,8 @@ OWNERS = "MATERIAL", "SURFACE INTERACTION"
 PROPERTIES = "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
 # What says how, not what, or holds other keywords.
 SILENT = {"", "HEADING", "INCLUDE", "ASSEMBLY", "END ASSEMBLY"}
-INPUT = re.compile(r"\*[^*].*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
+TEXTS = "|".join(("INCLUDE", "NODE", "ELEMENT", *SORTS))
+INPUT = re.compile(rf"\* *({TEXTS}) *,.*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
 
 
 def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD) -> Deck:
@@ -129,11 +130,11 @@ def _lines(file: Path, by: str = "path", above: tuple[Path, ...] = ()) -> Iterat
         why = "includes itself" if file.is_file() else "there is no such file"
         raise FileNotFoundError(f"{by} = {str(file)!r}: {why}")
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), 1):
-        place = f"{file}, line {number}"
-        if line.strip() and not line.startswith("**"):
-            yield place, line.strip().upper().replace('"', "")
-        if found := INPUT.match(line):
-            other = file.parent / found[1].strip()
+        place, text = f"{file}, line {number}", line.strip()
+        if text and not text.startswith("**"):
+            yield place, text.upper().replace('"', "")
+        if found := INPUT.match(text):
+            other = file.parent / found[2].strip()
             yield from _lines(other, f"{place}: INPUT", (*above, file.resolve()))
 
 
@@ -253,7 +254,8 @@ class _Model:
         words = k.words()
         if "GENERATE" in k.options:
             ranges = (map(int, row) for row in k.numbers(2))
-            words = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
+            numbers = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
+            words = (n for n in numbers if of.scope + n in self.rows[k.name])
         known = self.rows[k.name].setdefault(k.scope + k[k.name], [])
         known += self.find(k.name, of, words)
 
@@ -288,8 +290,9 @@ class _Model:
     def read_property(self, k: Keyword) -> None:
         """A property; None if it is not constant or not isotropic."""
         own = self.properties[k.scope]
-        rows = [[*row, 0.0] for row in k.numbers(1 + (k.name == "ELASTIC"))]
         kinds = {k.options.get(option, "ISO")[:3] for option in ("TYPE", "HARDENING")}
+        least = 2 if k.name == "ELASTIC" and kinds == {"ISO"} else 1
+        rows = [[*row, 0.0] for row in k.numbers(least)]
         (first, start), (last, end) = rows[0][:2], rows[-1][:2]
         rising = k.name == "PLASTIC" and start == 0.0 < end
         own[k.name] = first
@@ -337,9 +340,10 @@ class _Model:
         # a node is in a set if all of those are that it is computed from
         sources = np.vstack([np.eye(count), weights != 0.0])
         nodes = {}
-        for name, row in self.rows["NSET"].items():
-            inside = np.isin(used, row)[cells] @ sources.T == sources.sum(axis=1)
-            if not name.rpartition(".")[2].isdigit() and inside.any():
+        for name in set_names(self.rows["NSET"]):
+            own = np.isin(used, self.rows["NSET"][name])[cells]
+            inside = own @ sources.T == sources.sum(axis=1)
+            if inside.any():
                 nodes[name] = np.unique(full[inside])
         owner = np.array([self.owner.get(i, 0) for i in range(len(cells))])
         bodies = self.bodies or {"BODY": {}}
