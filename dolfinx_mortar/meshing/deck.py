@@ -23,6 +23,7 @@ from dolfinx_mortar.interfaces.tie import Tie
 class Kind(NamedTuple):
     """Kind of the elements of a deck."""
 
+    name: str
     kinematics: str
     cell: str
     degree: int
@@ -47,7 +48,7 @@ CELLS = {  # nodes of elements of both degrees; facets of basix's cell that are 
 }
 KINEMATICS = {"C3D": "spatial", "CPE": "plane_strain", "CPS": "plane_stress", "CAX": "axisymmetric"}
 TYPES = {
-    f"{family}{count}": Kind(kinematics, cell, degree, count)
+    f"{family}{count}": Kind(f"{family}{count}", kinematics, cell, degree, count)
     for family, kinematics in KINEMATICS.items()
     for cell, (counts, _) in CELLS.items()
     if cell.endswith("hedron") == (family == "C3D")
@@ -99,7 +100,7 @@ class Deck:
         self.cell_tags = Tags(tags, {body: i for i, body in enumerate(self.bodies, 1)})
         self.cell_tags.name = "bodies"
         self.materials, self.densities, self.expansions = (
-            {body: own[what] for body, own in self.bodies.items() if what in own}
+            {body: own[what] for body, own in self.bodies.items() if own.get(what) is not None}
             for what in ("law", "DENSITY", "EXPANSION")
         )
         topology.create_entities(dim - 1)
