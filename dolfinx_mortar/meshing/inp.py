@@ -14,17 +14,15 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import basix
 from dolfinx_mortar.algebra.parallel import named, raised_together
 from dolfinx_mortar.common.arguments import check, instance
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Longs
+from dolfinx_mortar.common.arrays import Floats, Longs
 from dolfinx_mortar.common.disk import check_path
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.plasticity import VonMises
-from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, find_name, set_names
-from dolfinx_mortar.meshing.full_cells import full_cells, missing_nodes
+from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, complete, find_name, set_names
 
 VARIANTS = "RHIMTS"  # reduced, hybrid, incompatible, modified, thermal, stresses at surfaces
 SORTS = {"NSET": "node", "ELSET": "element"}
@@ -63,13 +61,11 @@ def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)
-    told: Any = None
-    cells: Longs = np.empty((0, 0), dtype=np.int64)
-    x: Floats = np.empty((0, 0))
+    read = None
     with raised_together(comm):
         if comm.rank == 0:
-            told, cells, x = _Model(file).finish()
-    return Deck(comm, file.stem, comm.bcast(told), cells, x)
+            read = _Model(file).finish()
+    return Deck(comm, file.stem, read)
 
 
 @dataclass
@@ -257,10 +253,8 @@ class _Model:
     def read_surface(self, k: Keyword) -> None:
         """A surface of facets of elements, or of those whose corners are nodes of it."""
         if k.options.get("TYPE") == "NODE":
-            element, order = self.kind.nodes()
-            corners = order[np.array(basix.topology(element.cell_type)[-2])]
-            inside = np.isin(np.array(self.cells)[:, corners], self.find("NSET", k, k.words()))
-            rows = np.argwhere(inside.all(axis=2))
+            corners = np.array(self.cells)[:, self.kind.corners()]
+            rows = np.argwhere(np.isin(corners, self.find("NSET", k, k.words())).all(axis=2))
         else:
             faces = {f"S{i}": face for i, face in enumerate(CELLS[self.kind.cell][1], 1)}
             pairs: list[tuple[int, int]] = []
@@ -319,31 +313,16 @@ class _Model:
 
     def finish(self) -> tuple[Any, Longs, Floats]:
         """What all ranks have to know, cells, and positions of their nodes."""
-        count, rows = self.kind.size, self.rows["ELSET"].items()
         lost = {*range(len(self.cells))} - self.owner.keys()
         if self.bodies and lost:
+            rows = self.rows["ELSET"].items()
             name = next(name for name, row in rows if len(row) == 1 and row[0] in lost)
             raise ValueError(f"element {name} is in no SOLID SECTION")
-        element, order = self.kind.nodes()
-        points = element.basix_element.points[np.argsort(order)]
-        weights = missing_nodes(self.kind.cell, points, count)
-        used, cells = np.unique(np.array(self.cells), return_inverse=True)
-        cells, x, dim = cells.reshape(-1, count), np.array(self.x)[used], points.shape[1]
-        if np.abs(x[:, dim:]).max(initial=0.0) > HALF_OF_DIGITS * np.ptp(x):
-            raise ValueError(f"elements {self.kind.name} are in the plane z = 0, but not all nodes")
-        x, (full,) = full_cells(x[:, :dim], (weights, cells))
-        # a node is in a set if all of those are that it is computed from
-        sources = np.vstack([np.eye(count), weights != 0.0])
-        nodes = {}
-        for name in set_names(self.rows["NSET"]):
-            own = np.isin(used, self.rows["NSET"][name])[cells]
-            inside = own @ sources.T == sources.sum(axis=1)
-            if inside.any():
-                nodes[name] = np.unique(full[inside])
-        owner = np.array([self.owner.get(i, 0) for i in range(len(cells))])
-        bodies = self.bodies or {"BODY": {}}
-        told = self.kind, owner, bodies, self.surfaces, nodes, self.joints, self.unread
-        return told, full[:, order], x
+        sets = {name: self.rows["NSET"][name] for name in set_names(self.rows["NSET"])}
+        cells, x, nodes = complete(self.kind, np.array(self.cells), np.array(self.x), sets)
+        owner = np.array([self.owner.get(i, 0) for i in range(len(cells))], dtype=np.int32)
+        parts = self.bodies or {"BODY": {}}, self.surfaces, nodes
+        return (self.kind, owner, *parts, self.joints, self.unread), cells, x
 
 
 READERS: dict[str, Callable[[_Model, Keyword], None]] = {  # in the order of reading
