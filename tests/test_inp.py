@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.meshing.deck import CELLS, TYPES
 from tests.cases import msh_files
-from tests.cases.integrals import integral
+from tests.cases.integrals import integral, sizes
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
@@ -198,7 +198,14 @@ def test_laws(plastic, law):
         ("PART=BLOCK\n-1", "PART=BLACK\n-1", ("line 8", "no part 'BLACK'")),
         ("LOW.FOOT", "LOW.FEET", ("line 13, *NSET", "no node set 'LOW.FEET'")),
         ("LOW.UPPER", "LOW.OTHER", ("no surface 'LOW.OTHER'",)),
-        ("200., .3", "-200., .3", ("E",)),
+        ("200., .3", "-200., .3", ("line 18, *ELASTIC", "E")),
+        ("\n3, 1, 1", "\n3, 1, 1, 1", ("CPE8 are in the plane z = 0",)),
+        ("3, 1, 1", "2, 1, 1", ("line 1, *NODE", "node 2 is there twice")),
+        ("nset=all", "system=c", ("line 1, *NODE", "SYSTEM")),
+        ("\n,\n", "\n*Solid section, elset=E, material=STEEL\n", ("*SOLID SECTION", "another")),
+        ("*MATERIAL", "*SOLID SECTION, ELSET=UP.F\n*MATERIAL", ("no element set 'UP.F'",)),
+        ("Top\n*Surface", "1, 3\n*Surface", ("*CONTACT PAIR", "has no facet on the boundary")),
+        ("LOW.UPPER", "UP.SKIN", ("*CONTACT PAIR", "'UP.SKIN' has facets of one before it")),
         ("200., .3", "200.", ("line 19, *ELASTIC", "2 finite numbers")),
         ("block.inp", "black.inp", ("deck.inp, line 2: INPUT", "black.inp", "no such file")),
         ("block.inp", "deck.inp", ("includes itself",)),
@@ -270,6 +277,55 @@ def test_the_patch_of_macneal_and_harder(kind):
     assert integral(shear) == pytest.approx(400.0, rel=1e-10)
 
 
+CELLS_OF_TWO = "1, 1, 2, 3, 4\n2, 2, 5, 6,\n3"
+NODES_OF_TWO = "1, 0, 0\n2, 1,\t0\n3, 1, 1\n4, , 1\n5, 2, 0\n6, 2, 1\n7, 9, 9"
+TWO = """*NODE, INPUT=nodes.inp
+*ELEMENT, TYPE=CPS4R,
+ELSET="All of it"
+*INCLUDE, INPUT=cells.inp
+*NSET, NSET=ODD, GENERATE
+1, 99, 2
+*ELSET, ELSET=RIGHT
+2
+*SURFACE, NAME=ENDS, TYPE=NODE
+1, 4, 5, 6
+*SURFACE, NAME=UP
+RIGHT, S3
+All of it, S3
+*SURFACE, NAME=NONE, TYPE=NODE
+7
+"""
+
+
+@pytest.mark.mpi
+def test_two_cells_of_several_files():
+    """Data of included files continue those of a keyword; a range has the numbers that exist."""
+    deck = read(TWO, nodes=NODES_OF_TWO, cells=CELLS_OF_TWO)
+    assert deck.kinematics == "plane_stress" and deck.cell_tags.names == {"BODY": 1}
+    assert deck.materials == {} and deck.unread == []
+    tags = deck.tags("UP", "ENDS")
+    found = sizes(deck.mesh, tags, "ds")
+    assert found == pytest.approx({"UP": 2.0, "ENDS": 2.0})
+    V = fem.functionspace(deck.mesh, ("Lagrange", 1))
+    at = np.round(V.tabulate_dof_coordinates()[deck.dofs(V, "ODD")], 12) + 0.0
+    places = {tuple(x) for part in COMM.allgather(at.tolist()) for x in part}
+    assert places == {(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (2.0, 0.0, 0.0)}
+    for call in (deck.tags, lambda name: deck.dofs(V, name)):
+        with rejected("no ", "'NOWHERE'", "known are"):
+            call("NOWHERE")
+    with rejected("'NONE' has no facet"):
+        deck.tags("NONE")
+    with rejected("Lagrange space on the mesh of the deck"):
+        deck.dofs(fem.functionspace(deck.mesh, ("Lagrange", 2)), "ODD")
+
+
+@pytest.mark.mpi
+def test_elements_without_a_section_are_refused():
+    section = "*MATERIAL, NAME=M\n*SOLID SECTION, ELSET=RIGHT, MATERIAL=M\n"
+    with rejected("element 1 is in no SOLID SECTION"):
+        read(TWO + section, nodes=NODES_OF_TWO, cells=CELLS_OF_TWO)
+
+
 def write_step(path, draw, *names):
     """Write what is drawn by Gmsh as a STEP file, on rank 0; names of solids as CAD writes them."""
     gmsh = pytest.importorskip("gmsh")
@@ -329,3 +385,8 @@ def test_step_files_that_are_refused(folder, options, words):
         dm.meshing.read_step(folder / "face.step", size=1.0)
     with pytest.raises(OSError, match="no such file"):
         dm.meshing.read_step(folder / "none.step", size=1.0)
+    if COMM.rank == 0:
+        (folder / "text.step").write_text("a text")
+    COMM.Barrier()
+    with rejected("text.step", "is no STEP file"):
+        dm.meshing.read_step(folder / "text.step", size=1.0)

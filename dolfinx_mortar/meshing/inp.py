@@ -29,7 +29,7 @@ SORTS = {"NSET": "node", "ELSET": "element"}
 OWNERS = "MATERIAL", "SURFACE INTERACTION"
 PROPERTIES = *OWNERS, "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
 # What says how, not what, or holds other keywords.
-SILENT = {"", "HEADING", "INCLUDE", "ASSEMBLY", "END ASSEMBLY"}
+SILENT = {"", "HEADING", "ASSEMBLY", "END ASSEMBLY"}
 TEXTS = "|".join(("INCLUDE", "NODE", "ELEMENT", *SORTS))
 INPUT = re.compile(rf"\* *({TEXTS}) *,.*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
 
@@ -125,9 +125,10 @@ def _lines(file: Path, by: str = "path", above: tuple[Path, ...] = ()) -> Iterat
         raise FileNotFoundError(f"{by} = {str(file)!r}: {why}")
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), 1):
         place, text = f"{file}, line {number}", line.strip()
-        if text and not text.startswith("**"):
+        found = INPUT.match(text)
+        if text and not text.startswith("**") and not (found and found[1].upper() == "INCLUDE"):
             yield place, text.upper().replace('"', "")
-        if found := INPUT.match(text):
+        if found:
             other = file.parent / found[2].strip()
             yield from _lines(other, f"{place}: INPUT", (*above, file.resolve()))
 
