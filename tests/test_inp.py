@@ -17,6 +17,18 @@ from tests.cases.integrals import integral, sizes
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
+CORNERS = {  # of S1, S2 .., as Abaqus' and CalculiX's manuals have them
+    "triangle": "12 23 31",
+    "quadrilateral": "12 23 34 41",
+    "tetrahedron": "123 142 243 341",
+    "hexahedron": "1234 5876 1562 2673 3784 4851",
+}
+MIDDLES = {  # corners between which further nodes are
+    "triangle": "12 23 31",
+    "quadrilateral": "12 23 34 41",
+    "tetrahedron": "12 23 31 14 24 34",
+    "hexahedron": "12 23 34 41 56 67 78 85 15 26 37 48",
+}
 SIZES = {"triangle": 0.5, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}
 
 
@@ -58,8 +70,31 @@ def test_volume_and_facets_of_a_cell(kind):
     n, ds = ufl.FacetNormal(deck.mesh), ufl.Measure("ds", deck.mesh, subdomain_data=deck.tags())
     every = sum(integral(ufl.dot(x, n) * ds(deck.tags().tag(f"F{s}"))) for s in names)
     assert every == pytest.approx(dim * volume, rel=1e-12)
-    lowest = x[dim - 1] ** 2 * ds(deck.tags().tag("FS1"))  # z = 0 or y = 0
-    assert integral(lowest) == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [kind for kind in TYPES if kind[:3] in ("C3D", "CAX")])
+def test_faces_and_middles_have_the_corners_of_the_manuals(kind):
+    """The middle of a face is that of its corners, as are further nodes in the reference cell."""
+    element, order = TYPES[kind].nodes()
+    x = element.basix_element.points[np.argsort(order)]
+    pairs = MIDDLES[TYPES[kind].cell].split()
+    further = x[TYPES[kind].size - len(pairs) : TYPES[kind].size]
+    if TYPES[kind].degree == 2:
+        assert further == pytest.approx(
+            np.array([x[[int(a) - 1, int(b) - 1]].mean(axis=0) for a, b in pairs])
+        )
+    faces = CORNERS[TYPES[kind].cell].split()
+    deck = read(
+        deck_of(kind) + "".join(f"*SURFACE, NAME=F{i}\nE, S{i}\n" for i in range(1, 1 + len(faces)))
+    )
+    tags = deck.tags()
+    ds, X = ufl.Measure("ds", deck.mesh, subdomain_data=tags), ufl.SpatialCoordinate(deck.mesh)
+    for i, corners in enumerate(faces, 1):
+        size = integral(fem.Constant(deck.mesh, 1.0) * ds(i))
+        middle = [integral(X[k] * ds(i)) / size for k in range(len(x[0]))]
+        expected = x[[int(corner) - 1 for corner in corners]].mean(axis=0)
+        assert middle == pytest.approx(expected, abs=1e-12)
 
 
 DECK = """*PART, NAME=BLOCK
