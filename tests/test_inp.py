@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Decks of Abaqus and CalculiX: cells, sets, surfaces, laws and interfaces, and their errors."""
 
+import re
+
 from mpi4py import MPI
 
 import numpy as np
@@ -11,10 +13,22 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.meshing.deck import CELLS, TYPES
 from tests.cases import msh_files
-from tests.cases.integrals import integral
+from tests.cases.integrals import integral, sizes
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
+CORNERS = {  # of S1, S2 .., as Abaqus' and CalculiX's manuals have them
+    "triangle": "12 23 31",
+    "quadrilateral": "12 23 34 41",
+    "tetrahedron": "123 142 243 341",
+    "hexahedron": "1234 5876 1562 2673 3784 4851",
+}
+MIDDLES = {  # corners between which further nodes are
+    "triangle": "12 23 31",
+    "quadrilateral": "12 23 34 41",
+    "tetrahedron": "12 23 31 14 24 34",
+    "hexahedron": "12 23 34 41 56 67 78 85 15 26 37 48",
+}
 SIZES = {"triangle": 0.5, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}
 
 
@@ -56,8 +70,31 @@ def test_volume_and_facets_of_a_cell(kind):
     n, ds = ufl.FacetNormal(deck.mesh), ufl.Measure("ds", deck.mesh, subdomain_data=deck.tags())
     every = sum(integral(ufl.dot(x, n) * ds(deck.tags().tag(f"F{s}"))) for s in names)
     assert every == pytest.approx(dim * volume, rel=1e-12)
-    lowest = x[dim - 1] ** 2 * ds(deck.tags().tag("FS1"))  # z = 0 or y = 0
-    assert integral(lowest) == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [kind for kind in TYPES if kind[:3] in ("C3D", "CAX")])
+def test_faces_and_middles_have_the_corners_of_the_manuals(kind):
+    """The middle of a face is that of its corners, as are further nodes in the reference cell."""
+    element, order = TYPES[kind].nodes()
+    x = element.basix_element.points[np.argsort(order)]
+    pairs = MIDDLES[TYPES[kind].cell].split()
+    further = x[TYPES[kind].size - len(pairs) : TYPES[kind].size]
+    if TYPES[kind].degree == 2:
+        assert further == pytest.approx(
+            np.array([x[[int(a) - 1, int(b) - 1]].mean(axis=0) for a, b in pairs])
+        )
+    faces = CORNERS[TYPES[kind].cell].split()
+    deck = read(
+        deck_of(kind) + "".join(f"*SURFACE, NAME=F{i}\nE, S{i}\n" for i in range(1, 1 + len(faces)))
+    )
+    tags = deck.tags()
+    ds, X = ufl.Measure("ds", deck.mesh, subdomain_data=tags), ufl.SpatialCoordinate(deck.mesh)
+    for i, corners in enumerate(faces, 1):
+        size = integral(fem.Constant(deck.mesh, 1.0) * ds(i))
+        middle = [integral(X[k] * ds(i)) / size for k in range(len(x[0]))]
+        expected = x[[int(corner) - 1 for corner in corners]].mean(axis=0)
+        assert middle == pytest.approx(expected, abs=1e-12)
 
 
 DECK = """*PART, NAME=BLOCK
@@ -196,7 +233,14 @@ def test_laws(plastic, law):
         ("PART=BLOCK\n-1", "PART=BLACK\n-1", ("line 8", "no part 'BLACK'")),
         ("LOW.FOOT", "LOW.FEET", ("line 13, *NSET", "no node set 'LOW.FEET'")),
         ("LOW.UPPER", "LOW.OTHER", ("no surface 'LOW.OTHER'",)),
-        ("200., .3", "-200., .3", ("E",)),
+        ("200., .3", "-200., .3", ("line 18, *ELASTIC", "E")),
+        ("\n3, 1, 1", "\n3, 1, 1, 1", ("CPE8 are in the plane z = 0",)),
+        ("3, 1, 1", "2, 1, 1", ("line 1, *NODE", "node 2 is there twice")),
+        ("nset=all", "system=c", ("line 1, *NODE", "SYSTEM")),
+        ("\n,\n", "\n*Solid section, elset=E, material=STEEL\n", ("*SOLID SECTION", "another")),
+        ("*MATERIAL", "*SOLID SECTION, ELSET=UP.F\n*MATERIAL", ("no element set 'UP.F'",)),
+        ("Top\n*Surface", "1, 3\n*Surface", ("*CONTACT PAIR", "has no facet on the boundary")),
+        ("LOW.UPPER", "UP.SKIN", ("*CONTACT PAIR", "'UP.SKIN' has facets of one before it")),
         ("200., .3", "200.", ("line 19, *ELASTIC", "2 finite numbers")),
         ("block.inp", "black.inp", ("deck.inp, line 2: INPUT", "black.inp", "no such file")),
         ("block.inp", "deck.inp", ("includes itself",)),
@@ -268,8 +312,57 @@ def test_the_patch_of_macneal_and_harder(kind):
     assert integral(shear) == pytest.approx(400.0, rel=1e-10)
 
 
-def write_step(path, draw):
-    """Write what is drawn by Gmsh as a STEP file, on rank 0."""
+CELLS_OF_TWO = "1, 1, 2, 3, 4\n2, 2, 5, 6,\n3"
+NODES_OF_TWO = "1, 0, 0\n2, 1,\t0\n3, 1, 1\n4, , 1\n5, 2, 0\n6, 2, 1\n7, 9, 9"
+TWO = """*NODE, INPUT=nodes.inp
+*ELEMENT, TYPE=CPS4R,
+ELSET="All of it"
+*INCLUDE, INPUT=cells.inp
+*NSET, NSET=ODD, GENERATE
+1, 99, 2
+*ELSET, ELSET=RIGHT
+2
+*SURFACE, NAME=ENDS, TYPE=NODE
+1, 4, 5, 6
+*SURFACE, NAME=UP
+RIGHT, S3
+All of it, S3
+*SURFACE, NAME=NONE, TYPE=NODE
+7
+"""
+
+
+@pytest.mark.mpi
+def test_two_cells_of_several_files():
+    """Data of included files continue those of a keyword; a range has the numbers that exist."""
+    deck = read(TWO, nodes=NODES_OF_TWO, cells=CELLS_OF_TWO)
+    assert deck.kinematics == "plane_stress" and deck.cell_tags.names == {"BODY": 1}
+    assert deck.materials == {} and deck.unread == []
+    tags = deck.tags("UP", "ENDS")
+    found = sizes(deck.mesh, tags, "ds")
+    assert found == pytest.approx({"UP": 2.0, "ENDS": 2.0})
+    V = fem.functionspace(deck.mesh, ("Lagrange", 1))
+    at = np.round(V.tabulate_dof_coordinates()[deck.dofs(V, "ODD")], 12) + 0.0
+    places = {tuple(x) for part in COMM.allgather(at.tolist()) for x in part}
+    assert places == {(0.0, 0.0, 0.0), (1.0, 1.0, 0.0), (2.0, 0.0, 0.0)}
+    for call in (deck.tags, lambda name: deck.dofs(V, name)):
+        with rejected("no ", "'NOWHERE'", "known are"):
+            call("NOWHERE")
+    with rejected("'NONE' has no facet"):
+        deck.tags("NONE")
+    with rejected("Lagrange space on the mesh of the deck"):
+        deck.dofs(fem.functionspace(deck.mesh, ("Lagrange", 2)), "ODD")
+
+
+@pytest.mark.mpi
+def test_elements_without_a_section_are_refused():
+    section = "*MATERIAL, NAME=M\n*SOLID SECTION, ELSET=RIGHT, MATERIAL=M\n"
+    with rejected("element 1 is in no SOLID SECTION"):
+        read(TWO + section, nodes=NODES_OF_TWO, cells=CELLS_OF_TWO)
+
+
+def write_step(path, draw, *names):
+    """Write what is drawn by Gmsh as a STEP file, on rank 0; names of solids as CAD writes them."""
     gmsh = pytest.importorskip("gmsh")
     if COMM.rank == 0:
         gmsh.initialize(interruptible=False)
@@ -278,6 +371,10 @@ def write_step(path, draw):
         gmsh.model.occ.synchronize()
         gmsh.write(str(path))
         gmsh.finalize()
+        unnamed, text = r"'Open CASCADE STEP translator [\d.]+ 1\.(\d+)'", path.read_text()
+        if names:
+            text = re.sub(unnamed, lambda found: repr(names[int(found[1]) - 1]), text)
+        path.write_text(text)
     COMM.Barrier()
 
 
@@ -290,13 +387,15 @@ def test_solids_of_a_step_file_are_bodies(folder, degree):
         plate, hole = occ.addBox(-2, -2, 0, 4, 4, 1), occ.addCylinder(0, 0, -1, 0, 0, 3, 1)
         occ.cut([(3, plate)], [(3, hole)])
         occ.addCylinder(0, 0, -1, 0, 0, 3, 0.9)
+        occ.addBox(3, 0, 0, 1, 1, 1)
 
-    write_step(folder / "pin.step", draw)
+    write_step(folder / "pin.step", draw, "plate", "pin", "pin")
     mesh, bodies, faces = dm.meshing.read_step(folder / "pin.step", size=0.7, degree=degree)
-    assert {*bodies.names} == {"solid", "solid#2"} and len(faces.names) == 7 + 3
+    assert [*bodies.names] == ["plate", "pin", "pin#2"] and len(faces.names) == 7 + 3 + 6
+    assert "plate 7" in faces.names and "pin#2 6" in faces.names
     dx = ufl.Measure("dx", mesh, subdomain_data=bodies)
     one = fem.Constant(mesh, 1.0)
-    volumes = [integral(one * dx(bodies.tag(name))) for name in ("solid", "solid#2")]
+    volumes = [integral(one * dx(bodies.tag(name))) for name in ("plate", "pin")]
     close = 0.05 if degree == 1 else 1e-3
     assert volumes == pytest.approx([16 - np.pi, 3 * 0.81 * np.pi], rel=close)
     _, contacts = dm.find_pairs(mesh, bodies, show=False)
@@ -321,3 +420,8 @@ def test_step_files_that_are_refused(folder, options, words):
         dm.meshing.read_step(folder / "face.step", size=1.0)
     with pytest.raises(OSError, match="no such file"):
         dm.meshing.read_step(folder / "none.step", size=1.0)
+    if COMM.rank == 0:
+        (folder / "text.step").write_text("a text")
+    COMM.Barrier()
+    with rejected("text.step", "is no STEP file"):
+        dm.meshing.read_step(folder / "text.step", size=1.0)

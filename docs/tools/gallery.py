@@ -115,7 +115,7 @@ EXAMPLES = [
     Demo(
         "read_a_deck",
         "A deck of Abaqus or CalculiX: two cubes and the contact between them.",
-        {"read_a_deck.png": "Von Mises stress."},
+        {"read_a_deck.png": "Vertical displacement."},
         example=True,
     ),
     Demo(

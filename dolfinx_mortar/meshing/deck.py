@@ -8,21 +8,24 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
 import basix.ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from dolfinx.cpp.io import perm_vtk
 from dolfinx_mortar.algebra.parallel import named
 from dolfinx_mortar.common import compat
-from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats, Ints, Longs
 from dolfinx_mortar.common.tags import Tags
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
+from dolfinx_mortar.meshing.full_cells import full_cells, missing_nodes
 
 
 class Kind(NamedTuple):
     """Kind of the elements of a deck."""
 
+    name: str
     kinematics: str
     cell: str
     degree: int
@@ -38,6 +41,11 @@ class Kind(NamedTuple):
         kind, count = dmesh.CellType[self.cell], element.basix_element.dim
         return element, np.array(perm_vtk(kind, count), dtype=np.int32)
 
+    def corners(self) -> Ints:
+        """Corners (facets, k) of basix's facets, in the order of VTK."""
+        element, order = self.nodes()
+        return np.asarray(order[np.array(basix.topology(element.cell_type)[-2])])
+
 
 CELLS = {  # nodes of elements of both degrees; facets of basix's cell that are called S1, S2 ..
     "triangle": ((3, 6), (2, 0, 1)),
@@ -47,7 +55,7 @@ CELLS = {  # nodes of elements of both degrees; facets of basix's cell that are 
 }
 KINEMATICS = {"C3D": "spatial", "CPE": "plane_strain", "CPS": "plane_stress", "CAX": "axisymmetric"}
 TYPES = {
-    f"{family}{count}": Kind(kinematics, cell, degree, count)
+    f"{family}{count}": Kind(f"{family}{count}", kinematics, cell, degree, count)
     for family, kinematics in KINEMATICS.items()
     for cell, (counts, _) in CELLS.items()
     if cell.endswith("hedron") == (family == "C3D")
@@ -55,11 +63,16 @@ TYPES = {
 }
 
 
+def set_names(known: Mapping[str, Any]) -> list[str]:
+    """Names that are no numbers of nodes or elements."""
+    return [key for key in known if not key.rpartition(".")[2].isdigit()]
+
+
 def find_name(known: Mapping[str, Any], name: str, sort: str) -> Any:
     """What has a name, or a ValueError that lists the names."""
     if name not in known:
-        names = [key for key in known if not key.rpartition(".")[2].isdigit()]
-        raise ValueError(f"there is no {sort} {name!r}; known are {', '.join(names[:20])}")
+        names = ", ".join(set_names(known)[:20])
+        raise ValueError(f"there is no {sort} {name!r}; known are {names}")
     return known[name]
 
 
@@ -79,9 +92,10 @@ class Deck:
         unread: keywords that were not read, with file and line.
     """
 
-    def __init__(self, comm: MPI.Intracomm, name: str, told: Any, cells: Longs, x: Floats) -> None:
-        """Distribute a deck that rank 0 has read; collective."""
-        kind, owner, self.bodies, surfaces, nodes, joints, self.unread = told
+    def __init__(self, comm: MPI.Intracomm, name: str, read: Any) -> None:
+        """Distribute what rank 0 has read, None elsewhere; collective."""
+        told, cells, x = read or (None, np.empty(0, dtype=np.int64), np.empty(0))
+        kind, owner, bodies, surfaces, nodes, joints, self.unread = comm.bcast(told)
         self.kinematics: str = kind.kinematics
         element, order = kind.nodes()
         dim = element.block_size
@@ -91,10 +105,10 @@ class Deck:
         original = topology.original_cell_index
         every = np.arange(len(original), dtype=np.int32)
         tags = dmesh.meshtags(domain, dim, every, owner[original] + 1)
-        self.cell_tags = Tags(tags, {body: i for i, body in enumerate(self.bodies, 1)})
+        self.cell_tags = Tags(tags, {body: i for i, body in enumerate(bodies, 1)})
         self.cell_tags.name = "bodies"
         self.materials, self.densities, self.expansions = (
-            {body: own[what] for body, own in self.bodies.items() if what in own}
+            {body: own[what] for body, own in bodies.items() if own.get(what) is not None}
             for what in ("law", "DENSITY", "EXPANSION")
         )
         topology.create_entities(dim - 1)
@@ -106,9 +120,7 @@ class Deck:
         for surface, rows in surfaces.items():
             marked = np.zeros((len(owner), len(faces)), dtype=bool)
             marked[tuple(rows.T)] = True
-            self.surfaces[surface] = found = np.intersect1d(facets[marked[original]], exterior)
-            if not comm.allreduce(len(found)):
-                raise ValueError(f"the surface {surface!r} has no facet on the boundary of a body")
+            self.surfaces[surface] = np.intersect1d(facets[marked[original]], exterior)
         number = domain.geometry.input_global_indices
         self.nodes = {name: np.flatnonzero(np.isin(number, rows)) for name, rows in nodes.items()}
         self.interfaces: list[Contact | Tie] = []
@@ -121,14 +133,18 @@ class Deck:
         """Tags 1, 2 .. of these surfaces, by default all; collective.
 
         Raises:
-            ValueError: for unknown names, and surfaces with a facet in common.
+            ValueError: for unknown names, surfaces without a facet, and two with a common one.
         """
         dim = self.mesh.topology.dim - 1
         values = np.zeros(self.mesh.topology.index_map(dim).size_local, dtype=np.int32)
         names = names or (*self.surfaces,)
         for i, name in enumerate(names, 1):
             facets = find_name(self.surfaces, name, "surface")
-            if self.mesh.comm.allreduce(int(values[facets].any())):
+            counts = np.array([len(facets), np.count_nonzero(values[facets])])
+            some, shared = self.mesh.comm.allreduce(counts)
+            if not some:
+                raise ValueError(f"the surface {name!r} has no facet on the boundary of a body")
+            if shared:
                 raise ValueError(
                     f"the surface {name!r} has facets of one before it, among {', '.join(names)}, "
                     "but a facet has one tag: take it into tags of its own"
@@ -154,3 +170,27 @@ class Deck:
         if V.mesh is not self.mesh or every.shape[1] > cells.shape[1]:
             raise ValueError(f"V is {V!r}: give a Lagrange space on the mesh of the deck")
         return np.unique(every[np.isin(cells[:, : every.shape[1]], nodes)]).astype(np.int32)
+
+
+def complete(
+    kind: Kind, cells: Longs, x: Floats, sets: Mapping[str, list[int]]
+) -> tuple[Longs, Floats, dict[str, Longs]]:
+    """Full cells (m, K) in basix's order, their nodes (n, d), and those of sets that have some.
+
+    A node that is added is in a set if all of those are that it is computed from.
+    """
+    element, order = kind.nodes()
+    dim = element.block_size
+    weights = missing_nodes(kind.cell, element.basix_element.points[np.argsort(order)], kind.size)
+    used, rows = np.unique(cells, return_inverse=True)
+    x, rows = x[used], rows.reshape(cells.shape)
+    if np.abs(x[:, dim:]).max(initial=0.0) > HALF_OF_DIGITS * np.ptp(x):
+        raise ValueError(f"elements {kind.name} are in the plane z = 0, but not all of their nodes")
+    x, (full,) = full_cells(x[:, :dim], (weights, rows))
+    sources = np.vstack([np.eye(kind.size), weights != 0.0])
+    found = {}
+    for name, nodes in sets.items():
+        inside = np.isin(used, nodes)[rows] @ sources.T == sources.sum(axis=1)
+        if inside.any():
+            found[name] = np.unique(full[inside])
+    return full[:, order], x, found

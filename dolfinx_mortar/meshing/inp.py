@@ -14,7 +14,6 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import basix
 from dolfinx_mortar.algebra.parallel import named, raised_together
 from dolfinx_mortar.common.arguments import check, instance
 from dolfinx_mortar.common.arrays import Floats, Longs
@@ -23,16 +22,16 @@ from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.plasticity import VonMises
-from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, find_name
-from dolfinx_mortar.meshing.full_cells import full_cells, missing_nodes
+from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, complete, find_name, set_names
 
 VARIANTS = "RHIMTS"  # reduced, hybrid, incompatible, modified, thermal, stresses at surfaces
 SORTS = {"NSET": "node", "ELSET": "element"}
 OWNERS = "MATERIAL", "SURFACE INTERACTION"
-PROPERTIES = "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
+PROPERTIES = *OWNERS, "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
 # What says how, not what, or holds other keywords.
-SILENT = {"", "HEADING", "INCLUDE", "ASSEMBLY", "END ASSEMBLY"}
-INPUT = re.compile(r"\*[^*].*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
+SILENT = {"", "HEADING", "ASSEMBLY", "END ASSEMBLY"}
+TEXTS = "|".join(("INCLUDE", "NODE", "ELEMENT", *SORTS))
+INPUT = re.compile(rf"\* *({TEXTS}) *,.*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
 
 
 def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD) -> Deck:
@@ -44,13 +43,12 @@ def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         bcs = [fem.dirichletbc(np.zeros(3), deck.dofs(u.function_space, "FIXED"), u.function_space)]
         problem = dm.ContactProblem(solid, deck.interfaces, bcs=bcs)
 
-    Read are nodes, elements (C3D4, C3D10, C3D8, C3D20; CPE, CPS, CAX with 3, 4, 6, 8 nodes; also
-    with the letters R, H, I, M, T or S, as full ones without), NSET, ELSET, SURFACE of elements or
-    nodes, TIE, CONTACT PAIR with FRICTION, SOLID SECTION with ELASTIC (isotropic), PLASTIC (of at
-    most two points, with kinematic hardening), DENSITY, EXPANSION, parts, instances and INCLUDE.
-    Steps, loads and all else are listed in ``unread``. 20-node hexahedra and 8-node quadrilaterals
-    get the nodes they lack by their own shape functions. Names are in capitals unless quoted; those
-    of a part are INSTANCE.NAME. Bodies that share nodes are one. Rank 0 reads and distributes.
+    Read are NODE, ELEMENT (C3D4, C3D10, C3D8, C3D20; CPE, CPS, CAX with 3, 4, 6, 8 nodes; letters
+    R, H, I, M, T or S are left out), NSET, ELSET, SURFACE, TIE, CONTACT PAIR with FRICTION, SOLID
+    SECTION with ELASTIC, PLASTIC (of one or two points), DENSITY, EXPANSION, PART, INSTANCE and
+    INCLUDE; all else is listed in ``unread``. Cells of 8 and 20 nodes that lack nodes get them by
+    their own shape functions. Names are in capitals, those of a part INSTANCE.NAME. Bodies that
+    share nodes are one. Rank 0 reads and distributes.
 
     Args:
         path: the file; included ones are searched for beside the one that names them.
@@ -58,19 +56,16 @@ def read_inp(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
     Raises:
         OSError: if a file is missing or cannot be read.
-        ValueError: naming file and line: for elements of an unknown kind or of several kinds, for
-            sets, surfaces, materials and nodes that do not exist, numbers that are none, elements
-            that are in no section or in two.
+        ValueError: naming file and line: for unknown or mixed kinds of elements, sets, surfaces,
+            materials and nodes that do not exist, and elements in no section or in two.
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)
-    told: Any = None
-    cells: Longs = np.empty((0, 0), dtype=np.int64)
-    x: Floats = np.empty((0, 0))
+    read = None
     with raised_together(comm):
         if comm.rank == 0:
-            told, cells, x = _Model(file).finish()
-    return Deck(comm, file.stem, comm.bcast(told), cells, x)
+            read = _Model(file).finish()
+    return Deck(comm, file.stem, read)
 
 
 @dataclass
@@ -129,11 +124,12 @@ def _lines(file: Path, by: str = "path", above: tuple[Path, ...] = ()) -> Iterat
         why = "includes itself" if file.is_file() else "there is no such file"
         raise FileNotFoundError(f"{by} = {str(file)!r}: {why}")
     for number, line in enumerate(file.read_text(errors="replace").splitlines(), 1):
-        place = f"{file}, line {number}"
-        if line.strip() and not line.startswith("**"):
-            yield place, line.strip().upper().replace('"', "")
-        if found := INPUT.match(line):
-            other = file.parent / found[1].strip()
+        place, text = f"{file}, line {number}", line.strip()
+        found = INPUT.match(text)
+        if text and not text.startswith("**") and not (found and found[1].upper() == "INCLUDE"):
+            yield place, text.upper().replace('"', "")
+        if found:
+            other = file.parent / found[2].strip()
             yield from _lines(other, f"{place}: INPUT", (*above, file.resolve()))
 
 
@@ -183,9 +179,8 @@ class _Model:
         self.kind: Any = None
         self.x: list[Floats] = []
         self.cells: list[list[int]] = []
-        self.rows: dict[str, dict[str, list[int]]] = {
-            sort: {} for sort in SORTS
-        }  # of numbers and sets
+        # of nodes and elements by number and by set
+        self.rows: dict[str, dict[str, list[int]]] = {sort: {} for sort in SORTS}
         self.surfaces: dict[str, Longs] = {}  # elements and their facets (n, 2)
         self.properties: dict[str, dict[str, Any]] = {}  # of materials and interactions
         self.bodies: dict[str, dict[str, Any]] = {}
@@ -220,9 +215,7 @@ class _Model:
         """Elements of a kind."""
         kind = k.find(TYPES, k["TYPE"].rstrip(VARIANTS), "element type")
         if self.kind not in (None, kind):
-            raise ValueError(
-                f"{k['TYPE']} is mixed with {self.kind}: mesh all bodies with one kind"
-            )
+            raise ValueError(f"{k['TYPE']} beside {self.kind.name}: mesh all bodies with one kind")
         self.kind = kind
         for number, *nodes in zip_longest(*[k.words()] * (kind.size + 1)):
             if None in nodes:
@@ -253,24 +246,23 @@ class _Model:
         words = k.words()
         if "GENERATE" in k.options:
             ranges = (map(int, row) for row in k.numbers(2))
-            words = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
+            numbers = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
+            words = (n for n in numbers if of.scope + n in self.rows[k.name])
         known = self.rows[k.name].setdefault(k.scope + k[k.name], [])
         known += self.find(k.name, of, words)
 
     def read_surface(self, k: Keyword) -> None:
         """A surface of facets of elements, or of those whose corners are nodes of it."""
         if k.options.get("TYPE") == "NODE":
-            element, order = self.kind.nodes()
-            corners = order[np.array(basix.topology(element.cell_type)[-2])]
-            inside = np.isin(np.array(self.cells)[:, corners], self.find("NSET", k, k.words()))
-            rows = np.argwhere(inside.all(axis=2))
+            corners = np.array(self.cells)[:, self.kind.corners()]
+            rows = np.argwhere(np.isin(corners, self.find("NSET", k, k.words())).all(axis=2))
         else:
             faces = {f"S{i}": face for i, face in enumerate(CELLS[self.kind.cell][1], 1)}
             pairs: list[tuple[int, int]] = []
             for word, *labels in k.rows():
                 own = [k.find(faces, label, "face") for label in labels if label]
                 pairs += product(self.find("ELSET", k, [word]), own or faces.values())
-            rows = np.array(pairs)
+            rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         self.surfaces[k.scope + k["NAME"]] = rows
 
     def read_section(self, k: Keyword) -> None:
@@ -281,15 +273,14 @@ class _Model:
         self.owner |= dict.fromkeys(rows, len(self.bodies))
         self.bodies[k.scope + k["ELSET"]] = k.find(self.properties, k["MATERIAL"], "material")
 
-    def read_owner(self, k: Keyword) -> None:
-        """A material or an interaction."""
-        self.properties.setdefault(k["NAME"], {})
-
     def read_property(self, k: Keyword) -> None:
-        """A property; None if it is not constant or not isotropic."""
-        own = self.properties[k.scope]
-        rows = [[*row, 0.0] for row in k.numbers(1 + (k.name == "ELASTIC"))]
+        """A material, an interaction, or a property of it, None if not constant and isotropic."""
+        own = self.properties.setdefault(k.scope, {})
+        if k.name in OWNERS:
+            return
         kinds = {k.options.get(option, "ISO")[:3] for option in ("TYPE", "HARDENING")}
+        least = 2 if k.name == "ELASTIC" and kinds == {"ISO"} else 1
+        rows = [[*row, 0.0] for row in k.numbers(least)]
         (first, start), (last, end) = rows[0][:2], rows[-1][:2]
         rising = k.name == "PLASTIC" and start == 0.0 < end
         own[k.name] = first
@@ -317,34 +308,22 @@ class _Model:
             own = k.find(self.properties, k["INTERACTION"], "surface interaction")
             given["friction"] = own.get("FRICTION") or None
         for words in k.rows():
-            names = [word for word in words[:2] if word]
-            sides = {"slave": names[0], "master": names[-1]}
+            slave, *other = filter(None, words[:2])
+            sides = {"slave": slave, "master": other[0] if other else slave}
             self.joints.append((kind, k.place, sides | given))
 
     def finish(self) -> tuple[Any, Longs, Floats]:
         """What all ranks have to know, cells, and positions of their nodes."""
-        count, rows = self.kind.size, self.rows["ELSET"].items()
         lost = {*range(len(self.cells))} - self.owner.keys()
         if self.bodies and lost:
+            rows = self.rows["ELSET"].items()
             name = next(name for name, row in rows if len(row) == 1 and row[0] in lost)
             raise ValueError(f"element {name} is in no SOLID SECTION")
-        element, order = self.kind.nodes()
-        points = element.basix_element.points[np.argsort(order)]
-        weights = missing_nodes(self.kind.cell, points, count)
-        used, cells = np.unique(np.array(self.cells), return_inverse=True)
-        cells = cells.reshape(-1, count)
-        x, (full,) = full_cells(np.array(self.x)[used, : points.shape[1]], (weights, cells))
-        # a node is in a set if all of those are that it is computed from
-        sources = np.vstack([np.eye(count), weights != 0.0])
-        nodes = {}
-        for name, row in self.rows["NSET"].items():
-            inside = np.isin(used, row)[cells] @ sources.T == sources.sum(axis=1)
-            if not name.rpartition(".")[2].isdigit() and inside.any():
-                nodes[name] = np.unique(full[inside])
-        owner = np.array([self.owner.get(i, 0) for i in range(len(cells))])
-        bodies = self.bodies or {"BODY": {}}
-        told = self.kind, owner, bodies, self.surfaces, nodes, self.joints, self.unread
-        return told, full[:, order], x
+        sets = {name: self.rows["NSET"][name] for name in set_names(self.rows["NSET"])}
+        cells, x, nodes = complete(self.kind, np.array(self.cells), np.array(self.x), sets)
+        owner = np.array([self.owner.get(i, 0) for i in range(len(cells))], dtype=np.int32)
+        parts = self.bodies or {"BODY": {}}, self.surfaces, nodes
+        return (self.kind, owner, *parts, self.joints, self.unread), cells, x
 
 
 READERS: dict[str, Callable[[_Model, Keyword], None]] = {  # in the order of reading
@@ -353,7 +332,6 @@ READERS: dict[str, Callable[[_Model, Keyword], None]] = {  # in the order of rea
     "NSET": _Model.read_set,
     "ELSET": _Model.read_set,
     "SURFACE": _Model.read_surface,
-    **dict.fromkeys(OWNERS, _Model.read_owner),
     **dict.fromkeys(PROPERTIES, _Model.read_property),
     "SOLID SECTION": _Model.read_section,
     "TIE": _Model.read_joint,
@@ -365,8 +343,8 @@ def _move(moved: Keyword | None, x: Floats) -> Floats:
     """Positions (n, 3) in an instance: translated, then rotated about a line."""
     rows = [*moved.numbers(2)] if moved and moved.data else [[]]
     x = x + [*rows[0], 0.0, 0.0, 0.0][:3]
-    for row in rows[1:]:
-        start, axis = np.array(row[:3]), np.subtract(row[3:6], row[:3])
-        turn = Rotation.from_rotvec(np.radians(row[6]) * axis / np.linalg.norm(axis))
-        x = start + turn.apply(x - start)
+    for *line, angle in (row[:7] for row in rows[1:]):
+        start, end = np.reshape(line, (2, 3))
+        axis = (end - start) / np.linalg.norm(end - start)
+        x = start + Rotation.from_rotvec(np.radians(angle) * axis).apply(x - start)
     return x
