@@ -273,8 +273,10 @@ def measure(
         limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
-    gap = gap if balance.give is None else gap + balance.give * z
-    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
+    room: Floats | float = noise
+    if (give := balance.give) is not None:
+        gap, room = gap + give * z, noise + give * floor
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - room, 0.0)
     missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
     stiffness = diagonal.array_r
     pull = norm(
