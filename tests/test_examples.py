@@ -29,6 +29,7 @@ SAID = {  # what they print, by their last lines
     "read_a_deck": ("force 210.000 N, exact 210.000 N",),
     "bounce_a_rod": ("contact lasts 2.020 L/c, exact 2",),
     "stop_and_go_on": ("without a stop",),
+    "wear_a_cylinder": ("1000 mm: half-width 2.461 mm, rigid 2.466; depth 0.3037 mm",),
 }
 
 

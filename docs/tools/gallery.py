@@ -83,6 +83,12 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "wear_a_cylinder",
+        "Wear: a cylinder becomes flat, beside the closed form.",
+        {"wear_a_cylinder.png": "Contact pressure over the last step."},
+        example=True,
+    ),
+    Demo(
         "yield_in_contact",
         "Plasticity: a plate compresses a cube and lets go.",
         {"yield_in_contact.png": "Stress over compression."},

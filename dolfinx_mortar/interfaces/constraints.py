@@ -269,11 +269,6 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     return FrictionLaw(name, check_field(name, value))
 
 
-def check_offset(offset: Any) -> Limit | None:
-    """The checked length, or None."""
-    return None if offset is None else check_field("offset", offset)
-
-
 def check_field(name: str, value: Any) -> Limit:
     """Checked number, scalar Constant or nodal scalar Function; else a ValueError."""
     if is_number(value):

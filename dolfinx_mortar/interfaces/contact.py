@@ -15,16 +15,11 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.common.arguments import check, one_of
-from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import Bools, Floats
 from dolfinx_mortar.common.spaces import check_mesh
 from dolfinx_mortar.common.tags import label, tag_of
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.constraints import (
-    Limit,
-    check_offset,
-    create_law,
-    values_at_nodes,
-)
+from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact_tangent import LinkDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -37,6 +32,7 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.interfaces.results import NoResult
+from dolfinx_mortar.interfaces.wear import Archard, Wearing
 from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
@@ -196,14 +192,15 @@ class MortarInterface(Interface):
         )
 
 
-class Unilateral(Interface):
+class Unilateral(Wearing):
     """Bounds w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction."""
 
     unilateral = True
-    offset: Limit | None = None
 
     def __repr__(self) -> str:
         name = super().__repr__()
+        if self.wear is not None:
+            name = f"{name[:-1]}, wear=Archard)"
         if self.law is None:
             return name
         value = self.law.value
@@ -212,21 +209,15 @@ class Unilateral(Interface):
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
-        own = {"friction": self.friction, "tresca": self.tresca, "offset": self.offset}
-        return super().given() | own
+        names = "friction", "tresca", "offset", "wear"
+        return super().given() | {name: getattr(self, name) for name in names}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
-        """Raise a ValueError for limits of friction or an offset on another mesh than V's."""
-        if isinstance(self.offset, fem.Function):
-            check_mesh("offset", self.offset, V)
-        if self.law is not None and isinstance(self.law.value, fem.Function):
-            check_mesh(self.law.name, self.law.value, V)  # Constants need no mesh
-
-    def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """The offset (n,), or None; a ValueError for NaN and infinity; collective."""
-        if self.offset is None:
-            return None
-        return values_at_nodes("offset", self.offset, self.gap.function_space)[nodes]
+        """Raise a ValueError for limits of friction, offset or wear on another mesh than V's."""
+        given = {"offset": self.offset, "wear: k": None if self.wear is None else self.wear.k}
+        for name, value in (given | {"friction": self.friction, "tresca": self.tresca}).items():
+            if isinstance(value, fem.Function):
+                check_mesh(name, value, V)  # Constants need no mesh
 
     @property
     def friction(self) -> Limit | None:
@@ -315,6 +306,7 @@ class Contact(Unilateral, MortarInterface):
             strains.
         offset: length added to the gap, as friction: g_j + D_jj^-1 int Phi_j o. Positive where
             material was removed from the slave side (wear), negative for a shim or a coating.
+        wear: law of wear, `dolfinx_mortar.interfaces.wear.Archard`; further result ``wear_depth``.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.
@@ -334,11 +326,12 @@ class Contact(Unilateral, MortarInterface):
         friction: Limit | None = None,
         tresca: Limit | None = None,
         offset: Limit | None = None,
+        wear: Archard | None = None,
     ) -> None:
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
         self.law = create_law(friction, tresca)
-        self.offset = check_offset(offset)
+        self.set_offset(offset, wear)
 
     @property
     def meets_itself(self) -> bool:

@@ -78,6 +78,7 @@ class Interface(Collective, Results, ABC):
         master: tag of the other side, or None.
         rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
+        wear: law of wear of the side, or None.
     """
 
     unilateral: ClassVar[bool] = False
@@ -88,6 +89,7 @@ class Interface(Collective, Results, ABC):
     master: int | None = None
     rigid: RigidBody | None = None
     tool: Tool | None = None
+    wear: Any = None
 
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
         super().__init__()

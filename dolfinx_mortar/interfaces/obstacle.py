@@ -19,7 +19,7 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.arguments import check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.interfaces.constraints import Force, Limit, check_offset, create_law
+from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -39,6 +39,7 @@ from dolfinx_mortar.interfaces.tool import (
     find_facing,
     point_gaps,
 )
+from dolfinx_mortar.interfaces.wear import Archard
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, mean_values
@@ -84,7 +85,7 @@ class Obstacle(Movable, Unilateral):
         surface: as in `Contact`, for straight cells. "smooth" with displacements of first order
             takes distances at the nodes and does not see a tip between them; default "smooth", for
             flat sides of first order "facets".
-        friction, tresca, offset: as in `Contact`.
+        friction, tresca, offset, wear: as in `Contact`.
 
     Raises:
         ValueError: for an invalid argument; from the problem, for shapes not of revolution in
@@ -109,6 +110,7 @@ class Obstacle(Movable, Unilateral):
         friction: Limit | None = None,
         tresca: Limit | None = None,
         offset: Limit | None = None,
+        wear: Archard | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=slave)
         named = check_optional("surface", surface, SURFACES)
@@ -118,7 +120,7 @@ class Obstacle(Movable, Unilateral):
         )
         self.load = load or {}
         self.law = create_law(friction, tresca)
-        self.offset = check_offset(offset)
+        self.set_offset(offset, wear)
 
     def __repr__(self) -> str:
         said = f", shape={type(self.tool.shape).__name__}"

@@ -171,7 +171,9 @@ class Results:
         V, own, d = u.function_space, self.resultants.nodes, len(self.force)
         X = V.tabulate_dof_coordinates()[own, :d]
         shown = {"X": X, "x": X + u.x.array.reshape(-1, d)[own]}
-        shown |= {n: _at_nodes(f)[own] for n, f in self.nodal.items() if n != "energy"}
+        shown |= {
+            n: _at_nodes(f)[own] for n, f in self.nodal.items() if n not in ("energy", "worn")
+        }
         order, parts = None, {}
         for name, values in shown.items():
             whole = np.concatenate(mesh.comm.allgather(values))

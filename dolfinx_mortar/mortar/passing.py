@@ -159,14 +159,14 @@ def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs)
 
 
 def find_passed_tool(
-    side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool
+    side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool, removed: float = 0.0
 ) -> Passing | None:
     """Whether a body and a rigid tool have passed through each other; collective.
 
     Either middles of the body have entered the tool, or the tool's point has passed a facet moved
     inward to the depth of its middle (at most its size) less the point's depth in the tool, as
-    chords lie behind a tip. Parts of paths shorter than `QUARTER_OF_DIGITS` of the depth are
-    missed.
+    chords lie behind a tip, and by the depth of `removed` material. Parts of paths shorter than
+    `QUARTER_OF_DIGITS` of the depth are missed.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -187,7 +187,7 @@ def find_passed_tool(
     found = _first(side, None, faces, entered.astype(np.int64))
     if found is not None or not within:
         return found
-    inward = (_behind(flat_parts(facets_at(own, at)), -least, inner) for at in x)
+    inward = (_behind(flat_parts(facets_at(own, at)), -least, inner - removed) for at in x)
     parts = seen.ways(body, *inward)
     point = seen.point[None]
     passes = sum(len(find_passing((point, point), (a, b))) for a, b in pairwise(parts))

@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -10,10 +11,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import largest, norm, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, largest, norm, ratio
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.problem.linearisation import Balance, Linearisation, find_extent
+from dolfinx_mortar.problem.linearisation import Balance, Linearisation, find_extent, wear_rates
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
 
@@ -132,6 +133,38 @@ def find_sliders(
     return Sliders(law, share * limits.slip, reaction, law.limit(pressing), stiffness)
 
 
+def wear_off(
+    problem: ContactProblem, balance: Balance, contacts: Contacts, stiffness: PETSc.Vec
+) -> str:
+    """Set the depths of wear after a step, or say why it is too long; collective."""
+    if balance.give is None:
+        return ""
+    told, per_area = list[str](), np.zeros(problem.n)
+    bounds = balance.bounds
+    per_area[balance.nodes] = stiffness.array_r[bounds.dofs] / bounds.weight
+    rates = {of: wear_rates(problem, balance.limits, implicit=of) for of in (False, True)}
+    for link in problem.system.links:
+        if (wear := link.interface.wear) is None:
+            continue
+        rate, on = rates[wear.implicit][link.nodes], contacts.active[link.nodes]
+        depth = np.where(on, rate * contacts.multipliers[link.nodes], 0.0)
+        ratio = 0.0 if wear.implicit else rate * per_area[link.nodes] * on
+        deepest, unstable = largest(problem.comm, depth), largest(problem.comm, ratio + 0.0 * rate)
+        if wear.most is not None and deepest > wear.most:
+            told.append(f"{link.interface} wears by {deepest:.3g}, more than most={wear.most:g}")
+        if unstable > 2.0:
+            told.append(
+                f"{link.interface}: explicit wear would oscillate, as k ds K_jj / D_jj is "
+                f"{unstable:.3g}, above 2; give implicit=True, or"
+            )
+        cast(Any, link.interface).wear_by(depth, link.nodes)
+    if told:
+        return f"{'; '.join(told)}: take shorter paths in a step"
+    if any_rank(problem.comm, (rates[True] > 0.0).any())[0]:
+        problem.follow_geometry()
+    return ""
+
+
 def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
     """Normal and tangential forces (2, owned nodes, d) on both sides; collective."""
     total: Floats = np.zeros((2, problem.n, problem.d))
@@ -240,7 +273,10 @@ def measure(
         limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
-    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
+    room: Floats | float = noise
+    if (give := balance.give) is not None:
+        gap, room = gap + give * z, noise + give * floor
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - room, 0.0)
     missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
     stiffness = diagonal.array_r
     pull = norm(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 from petsc4py import PETSc
 
@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import any_rank, largest
-from dolfinx_mortar.common.arrays import Actives, Floats, Ints
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.link import Link
@@ -41,6 +41,7 @@ class Balance:
     limits: SlipLimits | None = None
     from_committed: bool = False  # bodies are linearised about the committed state
     friction: Floats | None = None  # (n,) part of r at prescribed slips
+    give: Floats | None = None  # (k,) wear per reaction, on all ranks or on none
 
     def known(self, multipliers: Floats) -> Floats:
         """Friction reactions (owned nodes, d) at prescribed slips."""
@@ -119,7 +120,25 @@ def find_balance(
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
     at = r, reduced, supported, bounds, elements, external, limits
-    return Balance(*at, from_committed, friction)
+    give = None
+    if any(link.interface.wear is not None for link in problem.system.links):
+        give = wear_rates(problem, limits)[bounds.dofs // problem.d] / bounds.weight
+    return Balance(*at, from_committed, friction, give)
+
+
+def wear_rates(
+    problem: ContactProblem, limits: SlipLimits | None, *, implicit: bool = True
+) -> Floats:
+    """Wear per multiplier lambda_j (owned nodes,), of implicit or explicit wear; collective."""
+    found, slid = np.zeros((2, problem.n))
+    if limits is not None:
+        slid[limits.nodes] = np.linalg.norm(limits.vectors(limits.slip) + limits.beside, axis=1)
+    for link in problem.system.links:
+        worn, nodes = cast(Any, link.interface), link.nodes
+        if worn.wear is not None and worn.wear.implicit == implicit:
+            rates = worn.wear_rates(nodes, slid[nodes]) / growth(problem, link)
+            found[nodes] = np.where(link.constrained[:, 0], rates, found[nodes])
+    return found
 
 
 def _present_limits(
@@ -214,12 +233,17 @@ def linearise(
         position = np.zeros(b.local_size, dtype=np.int32)
         position[bounds.dofs] = np.arange(len(bounds.dofs))
         law = Friction(position[limits.normal], limits.tangential, -limits.slip, *limits.left)
+    give = balance.give
+    if give is not None:  # without what is round-off beside the compliance of the bodies
+        stiffness = np.abs(diagonal.array_r[bounds.dofs])
+        give = np.where(give * stiffness > HALF_OF_DIGITS, give, 0.0)
     qp = BoundQP(
         *(A, b, lower, upper, bounds.dofs, law),
         definite=geometry is None,
         product=product,
         near=None if direct or geometry is None else problem.operator.matrix,
         extent=find_extent(problem.V.mesh, problem.u.x.array),
+        give=give,
     )
     return Linearisation(qp, balance, diagonal, geometry)
 

@@ -209,6 +209,9 @@ class ContactProblem:
 
     def _read(self, level: float | None) -> StepData:
         limits = []
+        for contact in self.contacts:
+            if contact.wear is not None:
+                contact.wear_by(np.zeros(0), np.zeros(0, dtype=np.int32))
         if self.system.has_friction:
             laws = [(one.law, one.nodal) for one in self.interfaces]
             limits = [None if law is None else law.values(results) for law, results in laws]
@@ -416,13 +419,14 @@ class ContactProblem:
 
         The displacement, ``solid.output_fields()``, and of the interfaces "pressure", "gap",
         "facing" (1 at slave nodes that face a master; elsewhere the gap is 0) and "status"; with
-        friction also "traction" and "slip" (see `Contact`). A ValueError if a later problem
+        friction also "traction" and "slip", with wear "wear_depth". A ValueError if a later problem
         uses an interface.
         """
         check_owned(self.interfaces, self.supports)
         fields = {"displacement": self.u} | self.solid.output_fields()
         names = ["pressure", "gap", "facing", "status"] if self.interfaces else []
         names += ["traction", "slip"] if self.system.has_friction else []
+        names += ["wear_depth"] if any(one.wear is not None for one in self.interfaces) else []
         for name in names:
             scalar = self.interfaces[0].pressure.function_space
             merged = fem.Function(self.V if name == "traction" else scalar, name=name)

@@ -9,11 +9,14 @@ x_n, and tangential components z_t against the slip x_t - rest (theory.md, Frict
 or z_t = q min(1, s / |q|) with q = z_t + c (x_t - rest), c > 0. Linearised with d = q / |q|,
 
     z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s).
+
+An upper bound may yield, by a compliance a >= 0: its slack is upper - x + a z, as by wear in a step
+(`interfaces.wear`). An active one is a free unknown with z = (x - upper) / a.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -81,6 +84,42 @@ class Sliding:
     law: Friction  # of the slipping nodes
     direction: Floats  # (m, t) d
     stiffness: Floats  # (m,) kappa
+
+    @staticmethod
+    def yielding(unknowns: Ints, bounds: Floats, give: Floats, size: int) -> Sliding:
+        """Law z = (x - bound) / give of yielding bounds, in the form of `size` components.
+
+        A slip across d has the force kappa (x_t - rest) alone.
+        """
+        both = np.zeros((2, len(unknowns), size))
+        both[0, :, 0], both[1, :, -1] = bounds, 1.0
+        tangential = np.full((len(unknowns), size), -1, dtype=np.int32)
+        tangential[:, 0] = unknowns
+        law = Friction(unknowns, tangential, both[0], *np.zeros((2, len(unknowns))))
+        return Sliding(unknowns, law, both[1], np.asarray(1.0 / give))
+
+    @property
+    def added(self) -> tuple[Ints, Floats]:
+        """Unknowns of yielding bounds, and what they add to the diagonal."""
+        own = self.law.tangential[:, 0] == self.normal
+        return self.normal[own], self.stiffness[own]
+
+    def joined(self, other: Sliding) -> Sliding:
+        """Both laws; those with fewer components are padded."""
+        t = other.direction.shape[1]
+        more = [(0, 0), (0, t - self.direction.shape[1])]
+        law = replace(
+            self.law,
+            tangential=np.pad(self.law.tangential, more, constant_values=-1),
+            rest=np.pad(self.law.rest, more),
+        )
+        parts = zip(vars(law).values(), vars(other.law).values(), strict=True)
+        return Sliding(
+            np.concatenate([self.normal, other.normal]),
+            Friction(*map(np.concatenate, parts)),
+            np.concatenate([np.pad(self.direction, more), other.direction]),
+            np.concatenate([self.stiffness, other.stiffness]),
+        )
 
     def reaction(self, x: Floats, z: Floats) -> Floats:
         """z_t (m, t) of the law."""
@@ -185,6 +224,7 @@ class BoundQP:
     extent: float = 0.0  # size of coordinates, whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of the part of b due to scalars
+    give: Floats | None = None  # (k,) compliance of upper bounds; on all ranks or on none
 
     @cached_property
     def comm(self) -> MPI.Comm:
@@ -233,7 +273,7 @@ class BoundQP:
 class Bounded:
     """Primal-dual iterate at the bounded unknowns."""
 
-    x: Floats  # (k,)
+    x: Floats  # (k,) of yielding bounds upper - slack / (1 + a c)
     z: Floats  # (k,) reaction b - A x
     lower: Floats  # (k,) -inf for none
     upper: Floats  # (k,) inf for none
@@ -364,8 +404,13 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
     """An iterate at this rank's bounded unknowns."""
-    own = qp.bounded
-    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds, qp.stiffness[own])
+    own, (lower, upper) = qp.bounded, qp.bounds
+    c, values, reaction = qp.stiffness[own], x.array_r[own], z.array_r[own]
+    if (a := qp.give) is not None:  # as accurate as its force
+        slack = (upper - values + a * reaction) / (1.0 + a * c)
+        slack[np.abs(slack) <= ROUND_OFF * qp.extent] = 0.0  # of coordinates
+        values = np.where(a > 0.0, upper - slack, values)
+    return Bounded(values, reaction, lower, upper, c)
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:

@@ -222,9 +222,13 @@ class HeldProblem:
     def solve(self, state: State, level: int) -> float:
         """Solve in a state; set x and z; return the tolerance (collective)."""
         qp, (lower, upper) = self.qp, self.qp.bounds
-        on = state.active != 0
-        held, values = qp.bounded[on], np.where(state.active > 0, upper, lower)[on]
+        on, bound = state.active != 0, np.where(state.active > 0, upper, lower)
         sliding = None
+        soft: Bools = np.zeros(len(on), dtype=bool)
+        if qp.give is not None:
+            soft = on & (qp.give > 0.0)
+            on = on & ~soft
+        held, values = qp.bounded[on], bound[on]
         if (law := qp.friction) is not None:
             stuck = state.sticks(law)
             held = np.concatenate([held, law.tangential[stuck]])
@@ -234,6 +238,11 @@ class HeldProblem:
                 parts = law.select(slips)
                 given = state.directions[slips], state.stiffness[slips]
                 sliding = Sliding(qp.bounded[parts.normal], parts, *given)
+        if any_rank(qp.comm, soft.any())[0]:
+            assert qp.give is not None
+            t = 2 if law is None else max(2, law.rest.shape[1])
+            own = Sliding.yielding(qp.bounded[soft], bound[soft], qp.give[soft], t)
+            sliding = own if sliding is None else sliding.joined(own)
         if any_rank(qp.comm, (self.x.array_r[held] != values).any())[0]:
             self.x.array[held] = values
             self.z = reaction(qp, self.x)
@@ -246,7 +255,7 @@ class HeldProblem:
                 qp.b, self.x, held, atol=SHARE * asked, z=self.z, sliding=sliding
             )
             self.z = solved.copy()
-            self.reactions = norm(qp.comm, self.z.array_r[held])
+            self.reactions = norm(qp.comm, self.z.array_r[np.union1d(held, qp.bounded[soft])])
             reached, asked = asked, self._tolerance(level)
             if SHARE * reached <= asked or is_noise(qp, self.x, self.z):
                 break

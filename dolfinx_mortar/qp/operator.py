@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf, decouple
-from dolfinx_mortar.common.arrays import ROUND_OFF, UNDERFLOW, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, UNDERFLOW, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
 # Part of |b| / sqrt(n): 1e-4 to 0.1 found all negative eigenvalues.
@@ -41,6 +41,8 @@ class Operator:
         self.z, self.r = A.createVecRight(), A.createVecRight()
         self._diagonal = A.getDiagonal()
         self._state = -1  # of A at the last hold
+        self._added: tuple[Ints, Floats] = self.held, np.zeros(0)  # see `Sliding`
+        self._changes = 0  # of what is added
         self.matrix = PETSc.Mat().createPython(A.getSizes(), ContextOf(self), A.comm)
         self.factorised = A.duplicate(copy=True) if copied else A
         if copied:
@@ -49,19 +51,27 @@ class Operator:
 
     @property
     def state(self) -> int:
-        """Changes with the values of A."""
-        return int(self.A.stateGet())
+        """Changes with the values of A, and with what yielding bounds add."""
+        return int(self.A.stateGet()) + (self._changes << 32)
 
     def hold(self, held: Ints) -> None:
         """Fix these unknowns of the present A (collective)."""
+        comm, added = self.A.comm.tompi4py(), self._added
+        if self.copied:
+            added = (self.held[:0], np.zeros(0)) if self.sliding is None else self.sliding.added
+            alike = all(np.array_equal(added[i], self._added[i]) for i in (0, 1))
+            self._changes += not comm.allreduce(alike, op=MPI.LAND)
         same = self._state == self.state and np.array_equal(self.held, held)
-        if self.A.comm.tompi4py().allreduce(same, op=MPI.LAND):
+        if comm.allreduce(same, op=MPI.LAND):
             return
         self.A.getDiagonal(self._diagonal)
         if self.copied:
             self.A.copy(self.factorised, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             decouple(self.factorised, held, self._diagonal.sum() / self._diagonal.getSize())
-        self.held, self._state = held.copy(), self.state
+            diagonal = self.factorised.getDiagonal()
+            diagonal.array[added[0]] += added[1]
+            self.factorised.setDiagonal(diagonal)
+        self.held, self._added, self._state = held.copy(), added, self.state
 
     # called by PETSc
 
@@ -92,6 +102,9 @@ class Operator:
         """Round-off of A x."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
+        if self.sliding is not None:
+            rows, more = self.sliding.added
+            scaled.array[rows] += more * x.array_r[rows]
         return max(ROUND_OFF * scaled.norm(), UNDERFLOW)
 
     def clear(self) -> None:

@@ -94,7 +94,8 @@ class Bordered:
         lower.array[:] = self.join(inner.lower.array_r, -none)
         upper.array[:] = self.join(inner.upper.array_r, none)
         bounds = lower, upper, inner.bounded, inner.friction
-        self.qp = BoundQP(A, b, *bounds, definite=inner.definite, extent=inner.extent)
+        own = BoundQP(A, b, *bounds, definite=inner.definite, extent=inner.extent)
+        self.qp = replace(own, give=inner.give)
 
     @property
     def scalars(self) -> Scalars:

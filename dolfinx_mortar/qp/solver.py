@@ -70,7 +70,8 @@ def solve(
     """
     check_name(backend)
     arguments.check("qp", qp, arguments.instance(BoundQP, "give a BoundQP"))
-    named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
+    named: dict[str, object] = {"friction": qp.friction, "implicit wear": qp.give}
+    named["tools or sides that forces drive"] = qp.scalars
     given = [name for name, part in named.items() if part is not None]
     if backend == INTERIOR_POINT and (given or not qp.definite):
         why = "needs a symmetric positive definite matrix:"

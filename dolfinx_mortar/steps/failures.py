@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, largest
 from dolfinx_mortar.audit.audit import find_free_motions
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import with_values
@@ -209,7 +209,10 @@ def describe_passing(problem: ContactProblem) -> str:
         if tool is None:
             found = find_passed(side, other[0], began, problem.u)
         else:
-            found = find_passed_tool(side, began, problem.u, tool.seen())
+            offset = system.link(interface).coupling.offset
+            removed = np.zeros(1) if offset is None else np.maximum(offset, 0.0)
+            at = side, began, problem.u, tool.seen()
+            found = find_passed_tool(*at, largest(problem.comm, removed))
         if found is not None:
             free = tool is not None or not sides.fixed[sides.nodes].all()
             if not any_rank(problem.comm, free)[0]:

@@ -176,11 +176,12 @@ def create_path(problem: ContactProblem, found: Solution, du: PETSc.Vec, multipl
     touching = problem.comm.allreduce(float(local))
     unbalanced = round_off(problem.u, lin.diagonal) + solved.kkt.unsolved
     lost = gap_round_off(problem.u)
+    yielded = 0.0 if balance.give is None else balance.give * np.maximum(z[bounds.dofs], 0.0)
     return Path(
         start=problem.u.x.array[:own].copy(),
         du=du.array_r.copy(),
         motion=x[bounds.dofs],
-        gap=bounds.upper + lost,
+        gap=bounds.upper + lost + yielded,
         penalty=2.0 * multiplier * bounds.weight,
         noise=unbalanced * du.norm() + lost * touching,
         slip=slip,

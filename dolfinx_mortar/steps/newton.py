@@ -36,6 +36,7 @@ from dolfinx_mortar.problem.contacts import (
     go_on,
     largest_force,
     measure,
+    wear_off,
 )
 from dolfinx_mortar.problem.linearisation import (
     Balance,
@@ -205,6 +206,9 @@ class _Step:
                 log.info("%s", self.report.iterations[-1])
             exact, residual = self.report.iterations[-1].exact_tangent, new.residuals[-1]
             if residual.excess <= 1.0:
+                at = new.balance, new.contacts, new.stiffness
+                if too_deep := wear_off(self.problem, *at):
+                    raise failures.StepFailed(too_deep)
                 with self.problem.timings("mortar"):
                     passed = failures.describe_passing(self.problem)
                 if passed:

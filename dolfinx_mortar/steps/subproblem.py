@@ -220,8 +220,10 @@ class Subproblem:
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
         """Relative tolerance of the next QP."""
-        # loose QPs with tools take four times the iterations; a linear step is a single QP
-        if self.driven or (self.linear and not self.moving):
+        # loose QPs with tools take four times the iterations, or change depths of wear; a linear
+        # step is a single QP
+        tight = self.driven or lin.balance.give is not None
+        if tight or (self.linear and not self.moving):
             return tightest(self.rtol)
         new = self.solver.direct and not (self.linear and residuals)
         kind = "direct" if new else "iterative"
