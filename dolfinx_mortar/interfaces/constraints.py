@@ -4,15 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
+from dolfinx_mortar.algebra.parallel import largest, raised_together, ratio
+from dolfinx_mortar.common.arguments import (
+    NOT_NEGATIVE,
+    NUMBER,
+    Rule,
+    array,
+    check,
+    instance,
+    is_number,
+)
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
@@ -46,12 +54,12 @@ def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
     """Raise a ValueError for wrong ``shapes``, by field names, or NaN."""
-    for field, shape in shapes.items():
-        values = np.asarray(getattr(found, field))
+    for part, shape in shapes.items():
+        values = np.asarray(getattr(found, part))
         if values.shape != shape:
-            raise ValueError(f"{name} {field} of shape {values.shape}: it must be {shape}")
+            raise ValueError(f"{name} {part} of shape {values.shape}: it must be {shape}")
         if not np.isfinite(values).all() and (not infinite or np.isnan(values).any()):
-            raise ValueError(f"{name} {field} with NaN{'' if infinite else ' or infinity'}")
+            raise ValueError(f"{name} {part} with NaN{'' if infinite else ' or infinity'}")
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
@@ -185,8 +193,47 @@ def present_force(name: str, given: Any) -> float:
     return force
 
 
-Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[[Floats, Floats], Any]
-"""A number, a Constant, a Function, or a function of pressures and slips (n,) of the last step."""
+@dataclass(frozen=True)
+class Coefficient:
+    """Coefficient of friction as a function of the state at each node.
+
+        mu, *state = function(p, s, *state, *reads)
+
+    with the pressure p and the slip s of the step, and the states at its start. Step and
+    coefficient are solved in turn until they agree to rtol, relative to the largest mu. With the
+    step its states are committed; `Contact.gather` has them and the "coefficient".
+
+    Args:
+        function: of arrays (n,) at all nodes of the rank, also those without contact; returns the
+            coefficient alone, or a tuple of it and the states at the end of the step. It is called
+            several times in a step and must change nothing. A rate is s over the Constant that
+            `load_steps` sets by ``dt=``.
+        state: initial values by name.
+        reads: scalar Lagrange Functions, such as temperatures, for their values at the nodes.
+        frozen: whether the coefficient is that of the end of the last step, and in the first one
+            that of p = s = 0.
+
+    Raises:
+        ValueError: naming an argument of another kind.
+    """
+
+    function: Callable[..., Any]
+    state: Mapping[str, float] = field(default_factory=dict)
+    reads: Sequence[fem.Function] = ()
+    frozen: bool = False
+
+    def __post_init__(self) -> None:
+        check("function", self.function, instance(Callable, "give a function of p and s"))
+        for name, value in self.state.items():
+            check(f"state[{name!r}]", value, NUMBER)
+        for k, one in enumerate(self.reads):
+            remedy = "give a scalar Lagrange Function"
+            check(f"reads[{k}]", one, instance(fem.Function, remedy))
+            check_nodal(f"reads[{k}]", one, (), remedy)
+
+
+Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[..., Any] | Coefficient
+"""A number, Constant, Function, `Coefficient`, or the function of a frozen one."""
 
 REMEDY = "give a number, a scalar Constant, a scalar Lagrange Function, or a function of p and s"
 
@@ -199,48 +246,94 @@ class FrictionLaw:
     """
 
     name: str
-    value: Limit
+    value: Any  # a `Limit`, functions as `Coefficient`
 
     @property
     def by_pressure(self) -> bool:
         """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
-    def values(self, results: Mapping[str, fem.Function]) -> Floats:
-        """Values at the owned nodes, by the results of the last step; collective.
+    @property
+    def own(self) -> Sequence[str]:
+        """Names of results of a `Coefficient`, which steps begin with."""
+        return ("coefficient", *self.value.state) if isinstance(self.value, Coefficient) else ()
+
+    def values(self, of: Any) -> Floats:
+        """Values at the owned nodes, given the results of the interface; collective.
 
         Raises:
             ValueError: on all ranks, for negative or non-finite values.
         """
-        scalar = results["pressure"].function_space
-        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
+        scalar = of.pressure.function_space
+        n = scalar.dofmap.index_map.size_local
+        if isinstance(self.value, Coefficient):
+            values = of.nodal["coefficient"].x.array[:n]
+            if of.resultants is None:  # before the first step
+                for name, start in self.value.state.items():
+                    of.nodal[name].x.array[:] = start
+                values[:] = self._evaluate(of)["coefficient"]
+            return values.copy() if of.turns.now is None else of.turns.now
         if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # ghosts may be set
-            at_nodes = fem.Function(scalar)
-            at_nodes.interpolate(self.value)
-            values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
-            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+            values = _at_nodes(self.value, scalar)
             # round-off of zeros
-            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+            none = (values < 0.0) & (values >= -ROUND_OFF * largest(scalar.mesh.comm, values))
             values[none] = 0.0
-        elif isinstance(self.value, float | fem.Constant):
-            values = np.full(n, float(getattr(self.value, "value", self.value)))
         else:
-            slip = results["step_slip"].x.array.reshape(-1, scalar.mesh.geometry.dim)[:n]
-            p, s = np.array(results["pressure"].x.array[:n]), np.linalg.norm(slip, axis=1)
-            with raised_together(comm):
-                found = self.value(p, s)
-                rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
-                values = np.broadcast_to(check(f"{self.name}(p, s)", found, rule), (n,)).copy()
-        bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
-        with raised_together(comm):
-            if len(bad):
-                at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
-                raise ValueError(
-                    f"{self.name} is {values[bad[0]]:g} at ({at}): every value has to be finite "
-                    "and >= 0"
-                )
+            values = np.full(n, float(getattr(self.value, "value", self.value)))
+        _check_values(self.name, values, scalar)
         return values
+
+    def turn(self, of: Any) -> float:
+        """Evaluate a `Coefficient` at the end of a step; return its change; collective."""
+        used, of.ended = self.values(of), self._evaluate(of)
+        if self.value.frozen:
+            return 0.0
+        way = of.ended["coefficient"] - used
+        of.turns.now = used + of.turns(way)
+        return ratio(largest(of.turns.comm, way), largest(of.turns.comm, used))
+
+    def _evaluate(self, of: Any) -> dict[str, Floats]:
+        """Values of `own` (n,) at the end of the step; collective."""
+        scalar, slip = of.pressure.function_space, of.step_slip.x.array
+        s = np.linalg.norm(slip.reshape(-1, scalar.mesh.geometry.dim), axis=1)
+        state = [of.nodal[name].x.array for name in self.own[1:]]
+        n = scalar.dofmap.index_map.size_local
+        at_nodes = [values[:n].copy() for values in (of.pressure.x.array, s, *state)]
+        at_nodes += [_at_nodes(f, scalar) for f in self.value.reads]
+        with raised_together(scalar.mesh.comm):
+            found = self.value.function(*at_nodes)
+            found = found if isinstance(found, tuple) else (found,)
+            if len(found) != len(self.own):
+                raise ValueError(
+                    f"{self.name}: the function returns {len(found)} values: return a number or "
+                    f"(n,) of them for each of {', '.join(self.own)}"
+                )
+            rule = array((), (n,), finite=False, remedy="return a number or (n,) of them")
+            named = zip(self.own, found, strict=True)
+            ended = {k: np.full(n, check(f"{self.name}: {k}", v, rule)) for k, v in named}
+        for k, values in ended.items():
+            least = 0.0 if k == "coefficient" else -np.inf
+            _check_values(f"{self.name}: {k}", values, scalar, least)
+        return ended
+
+
+def _at_nodes(f: fem.Function, scalar: fem.FunctionSpace) -> Floats:
+    f.x.scatter_forward()  # ghosts may be set
+    found = fem.Function(scalar)
+    found.interpolate(f)
+    return np.array(found.x.array[: scalar.dofmap.index_map.size_local], dtype=np.float64)
+
+
+def _check_values(name: str, values: Floats, scalar: fem.FunctionSpace, least: float = 0.0) -> None:
+    """Raise a ValueError on all ranks with the place of a wrong value; collective."""
+    bad = np.flatnonzero(~(np.isfinite(values) & (values >= least)))
+    with raised_together(scalar.mesh.comm):
+        if len(bad):
+            at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
+            raise ValueError(
+                f"{name} is {values[bad[0]]:g} at ({at}): every value has to be finite"
+                f"{' and >= 0' * (least == 0.0)}"
+            )
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
@@ -259,6 +352,8 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if isinstance(value, fem.Function):
         check_nodal(name, value, (), REMEDY)
     elif callable(value) and not isinstance(value, Expr):
+        return FrictionLaw(name, Coefficient(value, frozen=True))
+    elif isinstance(value, Coefficient):
         return FrictionLaw(name, value)
     elif not isinstance(value, fem.Constant):
         raise ValueError(f"{name} is {value!r}: {REMEDY}")

@@ -201,8 +201,8 @@ class Unilateral(Interface):
         if self.law is None:
             return name
         value = self.law.value
-        said = f"{value:g}" if isinstance(value, float) else type(value).__name__
-        return f"{name[:-1]}, {self.law.name}={said})"
+        said = f"{value:g}" if isinstance(value, float) else ", ".join(self.law.own)
+        return f"{name[:-1]}, {self.law.name}={said or type(value).__name__})"
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
@@ -210,8 +210,10 @@ class Unilateral(Interface):
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
-        if self.law is not None and isinstance(self.law.value, fem.Function):
-            check_mesh(self.law.name, self.law.value, V)  # Constants need no mesh
+        value = getattr(self.law, "value", None)
+        for one in getattr(value, "reads", [value]):
+            if isinstance(one, fem.Function):  # Constants need no mesh
+                check_mesh("friction", one, V)
 
     @property
     def friction(self) -> Limit | None:
