@@ -229,9 +229,11 @@ def test_a_wrong_coefficient_is_named_with_its_place(bad, frozen):
 
 @pytest.mark.mpi
 def test_a_wrong_state_is_named_with_its_place():
-    law = Coefficient(lambda p, s, n: (0.3, n / (1.0 - 1.0 * (p > 0.0))), state={"n": -1.0})
+    law = Coefficient(
+        lambda p, s, n: (0.3 + 0.0 * s, n / (1.0 - 1.0 * (p > 0.0))), state={"n": -1.0}
+    )
     case = create_pushed(friction=law)
-    with np.errstate(divide="ignore"), rejected("friction: n is -inf at (", "finite"):
+    with np.errstate(divide="ignore"), rejected("n is -inf at (", "finite"):
         case.solve(0.0, -0.02)
 
 
@@ -248,8 +250,11 @@ def test_a_coefficient_that_never_agrees():
     ("friction", "words"),
     [
         (lambda p, s: [0.1, 0.2, 0.3], ("friction", "(n,)")),
-        (lambda p, s: (0.1, 0.2), ("friction", "2 values", "coefficient")),
-        (Coefficient(lambda p, s, a: 0.1, state={"a": 0.0}), ("1 values", "coefficient, a")),
+        (lambda p, s: (0.1, 0.2), ("friction", "(n,) of each of coefficient")),
+        (
+            Coefficient(lambda p, s, a: 0.1, state={"a": 0.0}),
+            ("friction", "(n,) of each of coefficient, a"),
+        ),
     ],
 )
 def test_a_function_that_returns_something_else(friction, words):

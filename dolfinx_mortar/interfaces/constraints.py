@@ -271,50 +271,54 @@ class FrictionLaw:
             if of.resultants is None:  # before the first step
                 for name, start in self.value.state.items():
                     of.nodal[name].x.array[:] = start
-                values[:] = self._evaluate(of)["coefficient"]
+                values[:] = self._evaluate(of)[0]
             return values.copy() if of.turns.now is None else of.turns.now
         if isinstance(self.value, fem.Function):
             values = _at_nodes(self.value, scalar)
             # round-off of zeros
-            none = (values < 0.0) & (values >= -ROUND_OFF * largest(scalar.mesh.comm, values))
-            values[none] = 0.0
+            none = np.isfinite(values) & (values < 0.0)
+            values[none & (values >= -ROUND_OFF * largest(scalar.mesh.comm, values))] = 0.0
         else:
             values = np.full(n, float(getattr(self.value, "value", self.value)))
-        _check_values(self.name, values, scalar)
+        self._check(values[None], scalar)
         return values
 
     def turn(self, of: Any) -> float:
         """Evaluate a `Coefficient` at the end of a step; return its change; collective."""
-        used, of.ended = self.values(of), self._evaluate(of)
-        if self.value.frozen:
-            return 0.0
-        way = of.ended["coefficient"] - used
+        used, found, comm = self.values(of), self._evaluate(of), of.turns.comm
+        of.ended = dict(zip(self.own, found, strict=True))
+        way = np.where(self.value.frozen, 0.0, found[0] - used)
         of.turns.now = used + of.turns(way)
-        return ratio(largest(of.turns.comm, way), largest(of.turns.comm, used))
+        return ratio(largest(comm, way), largest(comm, used))
 
-    def _evaluate(self, of: Any) -> dict[str, Floats]:
-        """Values of `own` (n,) at the end of the step; collective."""
+    def _evaluate(self, of: Any) -> Floats:
+        """Values of `own` (k, n) at the end of the step; collective."""
         scalar, slip = of.pressure.function_space, of.step_slip.x.array
         s = np.linalg.norm(slip.reshape(-1, scalar.mesh.geometry.dim), axis=1)
         state = [of.nodal[name].x.array for name in self.own[1:]]
-        n = scalar.dofmap.index_map.size_local
+        n, k = scalar.dofmap.index_map.size_local, len(self.own)
         at_nodes = [values[:n].copy() for values in (of.pressure.x.array, s, *state)]
         at_nodes += [_at_nodes(f, scalar) for f in self.value.reads]
+        some = [(), (n,)] if k == 1 else []
+        remedy = f"return (n,) of each of {', '.join(self.own)}"
+        rule = array(*some, (k, n), finite=False, remedy=remedy)
         with raised_together(scalar.mesh.comm):
-            found = self.value.function(*at_nodes)
-            found = found if isinstance(found, tuple) else (found,)
-            if len(found) != len(self.own):
+            found = check(f"{self.name}(p, s, ..)", self.value.function(*at_nodes), rule)
+        rows = np.broadcast_to(found, (k, n)).copy()
+        self._check(rows, scalar)
+        return rows
+
+    def _check(self, rows: Floats, scalar: fem.FunctionSpace) -> None:
+        """Raise a ValueError on all ranks with the place of a wrong value; collective."""
+        wrong = ~np.isfinite(rows)
+        wrong[0] |= rows[0] < 0.0
+        with raised_together(scalar.mesh.comm):
+            for k, j in np.argwhere(wrong)[:1]:
+                at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[j])
                 raise ValueError(
-                    f"{self.name}: the function returns {len(found)} values: return a number or "
-                    f"(n,) of them for each of {', '.join(self.own)}"
+                    f"{self.own[k] if k else self.name} is {rows[k, j]:g} at ({at}): every value "
+                    f"has to be finite{'' if k else ' and >= 0'}"
                 )
-            rule = array((), (n,), finite=False, remedy="return a number or (n,) of them")
-            named = zip(self.own, found, strict=True)
-            ended = {k: np.full(n, check(f"{self.name}: {k}", v, rule)) for k, v in named}
-        for k, values in ended.items():
-            least = 0.0 if k == "coefficient" else -np.inf
-            _check_values(f"{self.name}: {k}", values, scalar, least)
-        return ended
 
 
 def _at_nodes(f: fem.Function, scalar: fem.FunctionSpace) -> Floats:
@@ -322,18 +326,6 @@ def _at_nodes(f: fem.Function, scalar: fem.FunctionSpace) -> Floats:
     found = fem.Function(scalar)
     found.interpolate(f)
     return np.array(found.x.array[: scalar.dofmap.index_map.size_local], dtype=np.float64)
-
-
-def _check_values(name: str, values: Floats, scalar: fem.FunctionSpace, least: float = 0.0) -> None:
-    """Raise a ValueError on all ranks with the place of a wrong value; collective."""
-    bad = np.flatnonzero(~(np.isfinite(values) & (values >= least)))
-    with raised_together(scalar.mesh.comm):
-        if len(bad):
-            at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
-            raise ValueError(
-                f"{name} is {values[bad[0]]:g} at ({at}): every value has to be finite"
-                f"{' and >= 0' * (least == 0.0)}"
-            )
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 from mpi4py import MPI
@@ -118,10 +119,7 @@ def newton(
     """
     check_problem(problem, ContactProblem)
     check_optional("level", level, NUMBER)
-
-    def solve() -> StepReport:
-        return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
-
+    solve = partial(solve_step, problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
     return in_turn(problem, [], solve, level, rtol)
 
 
