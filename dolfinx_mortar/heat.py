@@ -16,7 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.csr import Triplets
-from dolfinx_mortar.algebra.parallel import maximum, raised_together
+from dolfinx_mortar.algebra.parallel import Relaxed, maximum, raised_together
 from dolfinx_mortar.common.arguments import check, instance, number
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.common.spaces import check_space
@@ -168,7 +168,7 @@ class Heat:
         for i, one in enumerate(self.interfaces):
             check(f"interfaces[{i}]", one, instance(Conductance, "give a Conductance"))
         self.before = T.copy()  # at the start of the step
-        self.turn: tuple[Floats, float] | None = None  # last change in this step, and its factor
+        self.relaxed = Relaxed(self.comm)
         self.rate = fem.Constant(V.mesh, default_scalar_type(0.0))  # 1 / dt
         self.axisymmetric = axisymmetric
         k = _on_cells("conductivity", conductivity, cell_tags, V)
@@ -230,7 +230,7 @@ class Heat:
     def commit(self) -> None:
         """Make the temperature that of the start of the next step."""
         self.before.x.array[:] = self.T.x.array
-        self.turn = None
+        self.relaxed.last = None
 
     @contextmanager
     def undone(self) -> Iterator[None]:
@@ -239,7 +239,7 @@ class Heat:
             yield
         except BaseException:
             self.T.x.array[:] = self.before.x.array
-            self.turn = None
+            self.relaxed.last = None
             raise
 
     def _tool(self, one: Conductance) -> tuple[Any, ...]:
@@ -329,23 +329,9 @@ class Heat:
                 "nothing holds the temperature of a body: give a Dirichlet condition, a "
                 "conductance, or a capacity and dt"
             )
-        self.T.x.array[:n] += self._relaxed(way) * way
+        self.T.x.array[:n] += self.relaxed(way)
         self.T.x.scatter_forward()
         return change
-
-    def _relaxed(self, way: Floats) -> float:
-        """Factor of the next change in a step, Aitken's; collective.
-
-        Source: U. Kuettler, W. A. Wall, Comput. Mech. 43 (2008) 61-72, eq. 44.
-        """
-        factor = 1.0
-        if self.turn is not None:
-            before, last = self.turn
-            bend = way - before
-            product, square = self.comm.allreduce(np.array([before @ bend, bend @ bend]))
-            factor = float(np.clip(-last * product / square, 0.01, 1.0)) if square else 1.0
-        self.turn = way, factor
-        return factor
 
 
 HEAT = instance(Heat, "give a Heat")

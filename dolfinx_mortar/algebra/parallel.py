@@ -57,6 +57,29 @@ def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
     return maximum(comm, *(float(flag) for flag in flags)) > 0.0
 
 
+class Relaxed:
+    """Changes of values that are iterated, times Aitken's factor; collective.
+
+    Source: U. Kuettler, W. A. Wall, Comput. Mech. 43 (2008) 61-72, eq. 44.
+    """
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self.comm = comm
+        self.now: Floats | None = None  # values, if they are kept here
+        self.last: tuple[Floats, float] | None = None  # change and factor
+
+    def __call__(self, way: Floats) -> Floats:
+        """Next change, given that of the iteration."""
+        factor = 1.0
+        if self.last is not None:
+            before, last = self.last
+            bend = way - before
+            product, square = self.comm.allreduce(np.array([before @ bend, bend @ bend]))
+            factor = float(np.clip(-last * product / square, 0.01, 1.0)) if square else 1.0
+        self.last = way, factor
+        return factor * way
+
+
 def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) -> Floats:
     """Sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank; collective.
 

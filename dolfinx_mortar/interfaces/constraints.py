@@ -4,15 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
+from dolfinx_mortar.algebra.parallel import largest, raised_together, ratio
+from dolfinx_mortar.common.arguments import (
+    NOT_NEGATIVE,
+    NUMBER,
+    Rule,
+    array,
+    check,
+    instance,
+    is_number,
+)
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
@@ -46,12 +54,12 @@ def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
     """Raise a ValueError for wrong ``shapes``, by field names, or NaN."""
-    for field, shape in shapes.items():
-        values = np.asarray(getattr(found, field))
+    for part, shape in shapes.items():
+        values = np.asarray(getattr(found, part))
         if values.shape != shape:
-            raise ValueError(f"{name} {field} of shape {values.shape}: it must be {shape}")
+            raise ValueError(f"{name} {part} of shape {values.shape}: it must be {shape}")
         if not np.isfinite(values).all() and (not infinite or np.isnan(values).any()):
-            raise ValueError(f"{name} {field} with NaN{'' if infinite else ' or infinity'}")
+            raise ValueError(f"{name} {part} with NaN{'' if infinite else ' or infinity'}")
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
@@ -185,8 +193,47 @@ def present_force(name: str, given: Any) -> float:
     return force
 
 
-Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[[Floats, Floats], Any]
-"""A number, a Constant, a Function, or a function of pressures and slips (n,) of the last step."""
+@dataclass(frozen=True)
+class Coefficient:
+    """Coefficient of friction as a function of the state at each node.
+
+        mu, *state = function(p, s, *state, *reads)
+
+    with the pressure p and the slip s of the step, and the states at its start. Step and
+    coefficient are solved in turn until they agree to rtol, relative to the largest mu. With the
+    step its states are committed; `Contact.gather` has them and the "coefficient".
+
+    Args:
+        function: of arrays (n,) at all nodes of the rank, also those without contact; returns the
+            coefficient alone, or a tuple of it and the states at the end of the step. It is called
+            several times in a step and must change nothing. A rate is s over the Constant that
+            `load_steps` sets by ``dt=``.
+        state: initial values by name.
+        reads: scalar Lagrange Functions, such as temperatures, for their values at the nodes.
+        frozen: whether the coefficient is that of the end of the last step, and in the first one
+            that of p = s = 0.
+
+    Raises:
+        ValueError: naming an argument of another kind.
+    """
+
+    function: Callable[..., Any]
+    state: Mapping[str, float] = field(default_factory=dict)
+    reads: Sequence[fem.Function] = ()
+    frozen: bool = False
+
+    def __post_init__(self) -> None:
+        check("function", self.function, instance(Callable, "give a function of p and s"))
+        for name, value in self.state.items():
+            check(f"state[{name!r}]", value, NUMBER)
+        for k, one in enumerate(self.reads):
+            remedy = "give a scalar Lagrange Function"
+            check(f"reads[{k}]", one, instance(fem.Function, remedy))
+            check_nodal(f"reads[{k}]", one, (), remedy)
+
+
+Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[..., Any] | Coefficient
+"""A number, Constant, Function, `Coefficient`, or the function of a frozen one."""
 
 REMEDY = "give a number, a scalar Constant, a scalar Lagrange Function, or a function of p and s"
 
@@ -199,56 +246,90 @@ class FrictionLaw:
     """
 
     name: str
-    value: Limit
+    value: Any  # a `Limit`, functions as `Coefficient`
 
     @property
     def by_pressure(self) -> bool:
         """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
-    def values(self, results: Mapping[str, fem.Function]) -> Floats:
-        """Values at the owned nodes, by the results of the last step; collective.
+    @property
+    def own(self) -> Sequence[str]:
+        """Names of results of a `Coefficient`, which steps begin with."""
+        return ("coefficient", *self.value.state) if isinstance(self.value, Coefficient) else ()
+
+    def values(self, of: Any) -> Floats:
+        """Values at the owned nodes, given the results of the interface; collective.
 
         Raises:
             ValueError: on all ranks, for negative or non-finite values.
         """
-        scalar, value = results["pressure"].function_space, self.value
+        scalar = of.pressure.function_space
         n = scalar.dofmap.index_map.size_local
-        if not isinstance(value, float | fem.Constant | fem.Function):
-            slip = results["step_slip"].x.array.reshape(-1, scalar.mesh.geometry.dim)[:n]
-            p, s = np.array(results["pressure"].x.array[:n]), np.linalg.norm(slip, axis=1)
-            rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
-            at = fem.Function(scalar)
-            with raised_together(scalar.mesh.comm):
-                at.x.array[:n] = check(f"{self.name}(p, s)", value(p, s), rule)
-            value = at
-        return values_at_nodes(self.name, value, scalar, signed=False)[:n]
+        if isinstance(self.value, Coefficient):
+            values = of.nodal["coefficient"].x.array[:n]
+            if of.resultants is None:  # before the first step
+                for name, start in self.value.state.items():
+                    of.nodal[name].x.array[:] = start
+                values[:] = self._evaluate(of)[0]
+            return values.copy() if of.turns.now is None else of.turns.now
+        return values_at_nodes(self.name, self.value, scalar, signed=False)[:n]
+
+    def turn(self, of: Any) -> float:
+        """Evaluate a `Coefficient` at the end of a step; return its change; collective."""
+        used, found, comm = self.values(of), self._evaluate(of), of.turns.comm
+        of.ended = dict(zip(self.own, found, strict=True))
+        way = np.where(self.value.frozen, 0.0, found[0] - used)
+        of.turns.now = used + of.turns(way)
+        return ratio(largest(comm, way), largest(comm, used))
+
+    def _evaluate(self, of: Any) -> Floats:
+        """Values of `own` (k, n) at the end of the step; collective."""
+        scalar, slip = of.pressure.function_space, of.step_slip.x.array
+        s = np.linalg.norm(slip.reshape(-1, scalar.mesh.geometry.dim), axis=1)
+        state = [of.nodal[name].x.array for name in self.own[1:]]
+        n, k = scalar.dofmap.index_map.size_local, len(self.own)
+        reads = [values_at_nodes(f"{self.name}: reads", f, scalar) for f in self.value.reads]
+        at_nodes = [values[:n].copy() for values in (of.pressure.x.array, s, *state, *reads)]
+        some = [(), (n,)] if k == 1 else []
+        remedy = f"return (n,) of each of {', '.join(self.own)}"
+        rule = array(*some, (k, n), finite=False, remedy=remedy)
+        with raised_together(scalar.mesh.comm):
+            found = check(f"{self.name}(p, s, ..)", self.value.function(*at_nodes), rule)
+        rows = np.broadcast_to(found, (k, n)).copy()
+        for i, name in enumerate((self.name, *self.own[1:])):
+            check_at_nodes(name, rows[i], scalar, signed=i > 0)
+        return rows
 
 
 def values_at_nodes(
     name: str, value: Any, scalar: fem.FunctionSpace, *, signed: bool = True
 ) -> Floats:
     """Values at the local nodes; a ValueError for non-finite or negative ones; collective."""
-    comm, at = scalar.mesh.comm, fem.Function(scalar)
+    at = fem.Function(scalar)
     if isinstance(value, fem.Function):
         value.x.scatter_forward()  # ghosts may be set
         at.interpolate(value)
     else:
         at.x.array[:] = getattr(value, "value", value)
     values = np.array(at.x.array, dtype=np.float64)
-    largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
     # round-off of zeros
-    none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
-    values[none & (not signed)] = 0.0
-    bad = np.flatnonzero(~(np.isfinite(values) & ((values >= 0.0) | signed)))
-    with raised_together(comm):
-        if len(bad):
-            x = ", ".join(f"{v:.4g}" for v in scalar.tabulate_dof_coordinates()[bad[0]])
+    none = np.isfinite(values) & (values < 0.0) & (not signed)
+    values[none & (values >= -ROUND_OFF * largest(scalar.mesh.comm, values))] = 0.0
+    check_at_nodes(name, values, scalar, signed=signed)
+    return values
+
+
+def check_at_nodes(name: str, values: Floats, scalar: fem.FunctionSpace, *, signed: bool) -> None:
+    """Raise a ValueError on all ranks with the place of a wrong value; collective."""
+    wrong = ~(np.isfinite(values) & ((values >= 0.0) | signed))
+    with raised_together(scalar.mesh.comm):
+        for j in np.flatnonzero(wrong)[:1]:
+            at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[j])
             raise ValueError(
-                f"{name} is {values[bad[0]]:g} at ({x}): every value has to be finite"
+                f"{name} is {values[j]:g} at ({at}): every value has to be finite"
                 + ("" if signed else " and >= 0")
             )
-    return values
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
@@ -265,8 +346,9 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
         limit = check(name, value, NOT_NEGATIVE)
         return FrictionLaw(name, limit) if limit > 0.0 else None
     if callable(value) and not isinstance(value, Expr):
-        return FrictionLaw(name, value)
-    return FrictionLaw(name, check_field(name, value))
+        value = Coefficient(value, frozen=True)
+    found = value if isinstance(value, Coefficient) else check_field(name, value)
+    return FrictionLaw(name, found)
 
 
 def check_field(name: str, value: Any) -> Limit:

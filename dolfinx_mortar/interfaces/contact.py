@@ -204,8 +204,8 @@ class Unilateral(Wearing):
         if self.law is None:
             return name
         value = self.law.value
-        said = f"{value:g}" if isinstance(value, float) else type(value).__name__
-        return f"{name[:-1]}, {self.law.name}={said})"
+        said = f"{value:g}" if isinstance(value, float) else ", ".join(self.law.own)
+        return f"{name[:-1]}, {self.law.name}={said or type(value).__name__})"
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
@@ -213,11 +213,13 @@ class Unilateral(Wearing):
         return super().given() | {name: getattr(self, name) for name in names}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
-        """Raise a ValueError for limits of friction, offset or wear on another mesh than V's."""
+        """Raise a ValueError for Functions on another mesh than V's."""
         given = {"offset": self.offset, "wear: k": None if self.wear is None else self.wear.k}
-        for name, value in (given | {"friction": self.friction, "tresca": self.tresca}).items():
-            if isinstance(value, fem.Function):
-                check_mesh(name, value, V)  # Constants need no mesh
+        given |= {"friction": self.friction, "tresca": self.tresca}
+        for name, value in given.items():
+            for one in getattr(value, "reads", [value]):
+                if isinstance(one, fem.Function):  # Constants need no mesh
+                    check_mesh(name, one, V)
 
     @property
     def friction(self) -> Limit | None:
@@ -299,8 +301,9 @@ class Contact(Unilateral, MortarInterface):
             between the facets, as the paper.
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, a scalar Lagrange Function
-            on this mesh, or a function of the pressures and slips (n,) of the last step; read at
-            every step.
+            on this mesh, read at every step, or a
+            `dolfinx_mortar.interfaces.constraints.Coefficient`, as which a function of pressures
+            and slips (n,) is frozen.
         tresca: limit of the tangential traction instead, at every slave node that faces the master;
             a step is then a convex minimisation. In axisymmetry per circumference at X for small
             strains.

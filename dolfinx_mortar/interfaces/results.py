@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from mpi4py import MPI
@@ -12,7 +13,9 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import Relaxed
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints
+from dolfinx_mortar.common.spaces import set_owned
 from dolfinx_mortar.interfaces.constraints import FrictionLaw
 from dolfinx_mortar.interfaces.coupling import Sides
 
@@ -48,12 +51,16 @@ class Results:
         nodal: Functions by name.
         resultants: None until the first step.
         dissipated: energy of all ranks.
+        turns: iteration of the coefficient of friction in a step.
+        ended: coefficient and states (n,) at the end of a step, see `Coefficient`.
     """
 
     law: FrictionLaw | None = None
     owner: object = None
     resultants: Resultants | None = None
     dissipated: float = 0.0
+    turns: Relaxed | None = None
+    ended: Mapping[str, Floats] = MappingProxyType({})
 
     def __init__(self) -> None:
         self.nodal: dict[str, fem.Function] = {}
@@ -66,18 +73,27 @@ class Results:
         if self.law is not None:
             spaces |= {"traction": V, "step_slip": V}
             spaces |= dict.fromkeys(("slip", "status", "energy"), scalar)
+            if same := spaces.keys() & self.law.own:
+                raise ValueError(f"state: {', '.join(same)} is a result of each contact: rename it")
+            spaces |= dict.fromkeys(self.law.own, scalar)
         self.nodal = {name: fem.Function(space, name=name) for name, space in spaces.items()}
 
     def keep(self) -> Any:
         """Copies of the results, for `put_back`."""
         values = [(f, f.x.array.copy()) for f in self.nodal.values()]
-        return self.resultants, self.dissipated, values
+        return self.resultants, self.dissipated, self.ended, values
 
     def put_back(self, kept: Any) -> None:
         """Restore the result of `keep`; without communication."""
-        self.resultants, self.dissipated, functions = kept
+        self.resultants, self.dissipated, self.ended, functions = kept
         for f, values in functions:
             f.x.array[:] = values
+
+    def commit(self) -> None:
+        """Let the next step begin with the coefficient and states that have ended; collective."""
+        for name, values in self.ended.items():
+            set_owned(self.nodal[name], values)
+        self.ended = {}
 
     def clear(self) -> None:
         """Remove the results; without communication."""

@@ -213,8 +213,7 @@ class ContactProblem:
             if contact.wear is not None:
                 contact.wear_by(np.zeros(0), np.zeros(0, dtype=np.int32))
         if self.system.has_friction:
-            laws = [(one.law, one.nodal) for one in self.interfaces]
-            limits = [None if law is None else law.values(results) for law, results in laws]
+            limits = [one.law.values(one) if one.law else None for one in self.interfaces]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
@@ -337,6 +336,8 @@ class ContactProblem:
             ended = ended or [interface.state(True) for interface in self.interfaces]
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
+            for interface in self.interfaces if outcome else ():
+                interface.commit()
             with raised_together(self.comm):
                 for interface, end in zip(self.interfaces, ended, strict=True):
                     interface.restore(end)

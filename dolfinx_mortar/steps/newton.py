@@ -8,14 +8,18 @@ undone, and repeated without.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from functools import partial
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
 import numpy as np
 
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, largest, ratio
+from dolfinx_mortar.algebra.parallel import Relaxed, free_unused, from_callbacks, largest, ratio
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import NUMBER, check_optional
 from dolfinx_mortar.common.arrays import Floats
@@ -62,6 +66,23 @@ FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 # forces by SHARE of the residual.
 FEW = 5
 SHARE = 0.5
+MOST_TURNS = 50  # solutions of a step and its fields in turn; a conductance that opens takes 20
+
+
+class Field(Protocol):
+    """Unknowns that are solved in turn with a step, such as temperatures."""
+
+    given: Any
+    """Constants and other data that they read."""
+
+    def solve(self, dt: float | None) -> float:
+        """Solve with the step's results; return the change over the range; collective."""
+
+    def commit(self) -> None:
+        """Make this the start of the next step."""
+
+    def undone(self) -> AbstractContextManager[None]:
+        """Return to the start of the step if the block fails."""
 
 
 def newton(
@@ -99,7 +120,40 @@ def newton(
     """
     check_problem(problem, ContactProblem)
     check_optional("level", level, NUMBER)
-    return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
+    solve = partial(solve_step, problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
+    return in_turn(problem, [], solve, level, rtol)
+
+
+def in_turn(
+    problem: ContactProblem,
+    fields: Sequence[Field],
+    solve: Callable[[], StepReport],
+    level: float | None,
+    rtol: float,
+) -> StepReport:
+    """Solve a step in turn with fields and laws of friction until all agree; collective."""
+    rubbing = [(one, one.law) for one in problem.interfaces if one.law and one.law.own]
+    if not (fields or rubbing):
+        return solve()
+    begin, before = problem.committed.level, Before(problem.state, problem.outcome)
+    dt = None if level is None else abs(level - begin) or None
+    for one, _ in rubbing:
+        one.turns = Relaxed(problem.comm)
+    report = solve()
+    with problem.undone(before), ExitStack() as undone:
+        for field in fields:
+            undone.enter_context(field.undone())
+        for _ in range(MOST_TURNS):
+            changes = [field.solve(dt) for field in fields]
+            changes += [law.turn(one) for one, law in rubbing]
+            if max(changes) <= rtol:
+                return report
+            report = solve()
+        raise NewtonNotConverged(
+            f"forces, temperatures and friction do not agree after {MOST_TURNS} solutions in turn: "
+            "take smaller steps, or frozen coefficients",
+            report,
+        )
 
 
 def solve_step(

@@ -16,10 +16,10 @@ from collections.abc import (
     Iterator,
     Mapping,
 )
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 
@@ -40,28 +40,10 @@ from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_p
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.steps.failures import AS_BEFORE
-from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.newton import Field, in_turn, solve_step
 from dolfinx_mortar.steps.ramp import check_range, difference, notes_on_unread, read_ramps
 
 log = logging.getLogger(__name__)
-
-MOST_TURNS = 50  # solutions of a step and its fields in turn; a conductance that opens takes 20
-
-
-class Field(Protocol):
-    """Unknowns that are solved in turn with a step, such as temperatures."""
-
-    given: Any
-    """Constants and other data that they read."""
-
-    def solve(self, dt: float | None) -> float:
-        """Solve with the step's results; return the change over the range; collective."""
-
-    def commit(self) -> None:
-        """Make this the start of the next step."""
-
-    def undone(self) -> AbstractContextManager[None]:
-        """Return to the start of the step if the block fails."""
 
 
 @dataclass(frozen=True)
@@ -158,23 +140,8 @@ class Run:
 
     def in_turn(self, level: Level) -> StepReport:
         """Solve a step in turn with its fields until all agree; collective."""
-        report = self.to(level)
-        if not self.fields:
-            return report
-        assert self.problem.outcome is not None and self.problem.outcome.before is not None
-        with self.problem.undone(self.problem.outcome.before), ExitStack() as undone:
-            for field in self.fields:
-                undone.enter_context(field.undone())
-            dt = abs(level.time - self.problem.committed.level) or None
-            for _ in range(MOST_TURNS):
-                if max(field.solve(dt) for field in self.fields) <= self.newton["rtol"]:
-                    return report
-                report = self.to(level)
-            raise NewtonNotConverged(
-                f"forces and temperatures do not agree after {MOST_TURNS} solutions in turn: take "
-                "smaller steps",
-                report,
-            )
+        solve = partial(self.to, level)
+        return in_turn(self.problem, self.fields, solve, level.time, self.newton["rtol"])
 
     def commit(self, report: StepReport) -> None:
         """Commit a converged step; collective."""
