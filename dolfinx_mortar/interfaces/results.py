@@ -188,7 +188,9 @@ class Results:
         X = V.tabulate_dof_coordinates()[own, :d]
         shown = {"X": X, "x": X + u.x.array.reshape(-1, d)[own]}
         shown |= {
-            n: _at_nodes(f)[own] for n, f in self.nodal.items() if n not in ("energy", "worn")
+            n: _at_nodes(f)[own]
+            for n, f in self.nodal.items()
+            if n not in ("energy", "committed_depth")
         }
         order, parts = None, {}
         for name, values in shown.items():

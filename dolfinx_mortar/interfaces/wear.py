@@ -98,7 +98,9 @@ class Wearing(Interface):
         super().take(owner, V)
         if self.wear is not None:
             scalar, self._path = self.gap.function_space, self.wear.path
-            self.nodal |= {n: fem.Function(scalar, name=n) for n in ("wear_depth", "worn")}
+            self.nodal |= {
+                n: fem.Function(scalar, name=n) for n in ("wear_depth", "committed_depth")
+            }
 
     @property
     def wear_depth(self) -> fem.Function:
@@ -124,7 +126,7 @@ class Wearing(Interface):
     def wear_by(self, depth: Floats, nodes: Ints) -> None:
         """Set the depth after the step, with (n,) at owned nodes more than before; collective."""
         found = self.wear_depth
-        found.x.array[:] = self.nodal["worn"].x.array
+        found.x.array[:] = self.nodal["committed_depth"].x.array
         found.x.array[nodes] += depth
         found.x.scatter_forward()
 
@@ -141,4 +143,4 @@ class Wearing(Interface):
         if self.wear is not None:
             self._path = float(state["path"][0])
             if state["commits"][0]:
-                self.nodal["worn"].x.array[:] = self.wear_depth.x.array
+                self.nodal["committed_depth"].x.array[:] = self.wear_depth.x.array
