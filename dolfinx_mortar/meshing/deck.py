@@ -63,16 +63,10 @@ TYPES = {
 }
 
 
-def set_names(known: Mapping[str, Any]) -> list[str]:
-    """Names that are no numbers of nodes or elements."""
-    return [key for key in known if not key.rpartition(".")[2].isdigit()]
-
-
 def find_name(known: Mapping[str, Any], name: str, sort: str) -> Any:
     """What has a name, or a ValueError that lists the names."""
     if name not in known:
-        names = ", ".join(set_names(known)[:20])
-        raise ValueError(f"there is no {sort} {name!r}; known are {names}")
+        raise ValueError(f"there is no {sort} {name!r}; known are {', '.join([*known][:20])}")
     return known[name]
 
 
@@ -139,7 +133,7 @@ class Deck:
         values = np.zeros(self.mesh.topology.index_map(dim).size_local, dtype=np.int32)
         names = names or (*self.surfaces,)
         for i, name in enumerate(names, 1):
-            facets = find_name(self.surfaces, name, "surface")
+            facets = find_name(self.surfaces, name, "SURFACE")
             counts = np.array([len(facets), np.count_nonzero(values[facets])])
             some, shared = self.mesh.comm.allreduce(counts)
             if not some:
@@ -165,7 +159,7 @@ class Deck:
         Raises:
             ValueError: for unknown names, and spaces that do not fit.
         """
-        nodes = find_name(self.nodes, name, "node set")
+        nodes = find_name(self.nodes, name, "NSET")
         cells, every = compat.cell_nodes(self.mesh), np.asarray(V.dofmap.list)
         if V.mesh is not self.mesh or every.shape[1] > cells.shape[1]:
             raise ValueError(f"V is {V!r}: give a Lagrange space on the mesh of the deck")

@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import chain, product, zip_longest
+from itertools import product, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,15 @@ from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.tie import Tie
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.plasticity import VonMises
-from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, complete, find_name, set_names
+from dolfinx_mortar.meshing.deck import CELLS, TYPES, Deck, complete, find_name
 
 VARIANTS = "RHIMTS"  # reduced, hybrid, incompatible, modified, thermal, stresses at surfaces
-SORTS = {"NSET": "node", "ELSET": "element"}
+NUMBERED = {"NSET": "NODE", "ELSET": "ELEMENT"}
 OWNERS = "MATERIAL", "SURFACE INTERACTION"
 PROPERTIES = *OWNERS, "PLASTIC", "ELASTIC", "DENSITY", "EXPANSION", "FRICTION"
 # What says how, not what, or holds other keywords.
 SILENT = {"", "HEADING", "ASSEMBLY", "END ASSEMBLY"}
-TEXTS = "|".join(("INCLUDE", "NODE", "ELEMENT", *SORTS))
+TEXTS = "|".join(["INCLUDE", *NUMBERED, *NUMBERED.values()])
 INPUT = re.compile(rf"\* *({TEXTS}) *,.*\bINPUT *= *\"?([^\",]+)", re.IGNORECASE)
 
 
@@ -179,8 +179,8 @@ class _Model:
         self.kind: Any = None
         self.x: list[Floats] = []
         self.cells: list[list[int]] = []
-        # of nodes and elements by number and by set
-        self.rows: dict[str, dict[str, list[int]]] = {sort: {} for sort in SORTS}
+        # by number and by name of a set
+        self.rows: dict[str, dict[str, list[int]]] = {sort: {} for sort in READERS}
         self.surfaces: dict[str, Longs] = {}  # elements and their facets (n, 2)
         self.properties: dict[str, dict[str, Any]] = {}  # of materials and interactions
         self.bodies: dict[str, dict[str, Any]] = {}
@@ -228,17 +228,16 @@ class _Model:
 
     def add(self, sort: str, k: Keyword, number: str, row: int) -> None:
         """Number a row, and add it to the set of the keyword."""
-        known = self.rows[sort]
-        if k.scope + number in known:
-            raise ValueError(f"{SORTS[sort]} {number} is there twice")
-        for name in filter(None, (number, k.options.get(sort))):
-            known.setdefault(k.scope + name, []).append(row)
+        if k.scope + number in self.rows[k.name]:
+            raise ValueError(f"{number} is there twice")
+        self.rows[k.name][k.scope + number] = [row]
+        if name := k.options.get(sort):
+            self.rows[sort].setdefault(k.scope + name, []).append(row)
 
     def find(self, sort: str, k: Keyword, words: Iterable[str]) -> list[int]:
         """Rows of numbers and sets."""
-        known, what = self.rows[sort], SORTS[sort]
-        found = (k.find(known, w, what + " set" * (not w.isdigit())) for w in words)
-        return [*chain.from_iterable(found)]
+        sorts = ((NUMBERED[sort] if word.isdigit() else sort, word) for word in words)
+        return [row for of, word in sorts for row in k.find(self.rows[of], word, of)]
 
     def read_set(self, k: Keyword) -> None:
         """A set of nodes or elements."""
@@ -247,7 +246,7 @@ class _Model:
         if "GENERATE" in k.options:
             ranges = (map(int, row) for row in k.numbers(2))
             numbers = (str(n) for low, high, *by in ranges for n in range(low, high + 1, *by))
-            words = (n for n in numbers if of.scope + n in self.rows[k.name])
+            words = (n for n in numbers if of.scope + n in self.rows[NUMBERED[k.name]])
         known = self.rows[k.name].setdefault(k.scope + k[k.name], [])
         known += self.find(k.name, of, words)
 
@@ -303,7 +302,7 @@ class _Model:
         kind = Tie if k.name == "TIE" else Contact
         given: dict[str, Any] = {}
         if "POSITION TOLERANCE" in k.options:
-            given["within"] = _numbers([k["POSITION TOLERANCE"]], 1)[0]
+            given["within"] = float(k["POSITION TOLERANCE"])
         if "INTERACTION" in k.options:
             own = k.find(self.properties, k["INTERACTION"], "surface interaction")
             given["friction"] = own.get("FRICTION") or None
@@ -316,11 +315,10 @@ class _Model:
         """What all ranks have to know, cells, and positions of their nodes."""
         lost = {*range(len(self.cells))} - self.owner.keys()
         if self.bodies and lost:
-            rows = self.rows["ELSET"].items()
-            name = next(name for name, row in rows if len(row) == 1 and row[0] in lost)
+            name = next(name for name, (row,) in self.rows["ELEMENT"].items() if row in lost)
             raise ValueError(f"element {name} is in no SOLID SECTION")
-        sets = {name: self.rows["NSET"][name] for name in set_names(self.rows["NSET"])}
-        cells, x, nodes = complete(self.kind, np.array(self.cells), np.array(self.x), sets)
+        mesh = np.array(self.cells), np.array(self.x)
+        cells, x, nodes = complete(self.kind, *mesh, self.rows["NSET"])
         owner = np.array([self.owner.get(i, 0) for i in range(len(cells))], dtype=np.int32)
         parts = self.bodies or {"BODY": {}}, self.surfaces, nodes
         return (self.kind, owner, *parts, self.joints, self.unread), cells, x
