@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bad limits of friction: named with value and remedy, on all ranks, before anything has moved."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
