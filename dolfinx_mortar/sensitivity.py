@@ -155,7 +155,7 @@ class _Tangent:
         f, w = self.residual(balance, contacts)
         if self.size(np.where(self.bound, 0.0, f), w) > CONVERGED:
             raise ValueError("problem: u does not solve it with the present data: call newton()")
-        weak = np.where(on, force, gap) < QUARTER_OF_DIGITS * largest(problem.comm, force)
+        weak = np.where(on, force, gap) <= QUARTER_OF_DIGITS * largest(problem.comm, force)
         self.weak = problem.comm.allreduce(int(weak.sum()))
 
     def residual(self, balance: Balance, contacts: Contacts) -> Floats:
@@ -319,7 +319,7 @@ class _Step:
         dt: Any = 0.0
         h, u = STEP * (way[1] or 1.0), norm(self.problem.comm, self.u)
         f, w = self.differ(self.residual, h, way, 0.0, dt, *rates)
-        if effect := h * tangent.size(f, w):
+        if 0.0 < (effect := h * tangent.size(f, w)) < np.inf:
             h *= (STEP / effect) ** (1 / 3 if way[1] else 1)
         du = tangent.lifted(self.problem.vector(), w)
         while True:
