@@ -49,7 +49,7 @@ Way = tuple[Callable[[float], None], float]  # what sets p + h e, and |p| / |e|
 LIST = instance((list, tuple), "give a list")
 QUANTITY = Rule[Any](
     "give a function without arguments, or a functional in UFL",
-    lambda q: q if callable(q) or (isinstance(q, ufl.Form) and not q.arguments()) else None,
+    lambda q: None if not callable(q) or (isinstance(q, ufl.Form) and q.arguments()) else q,
 )
 PARAMETER = (
     "give a Constant, a Function, (Constant or Function, direction), (mesh, Function on V), or "
@@ -153,7 +153,8 @@ class _Tangent:
         force, gap = contacts.reactions(balance), np.abs(bounds.upper) * self.scale[bounds.dofs]
         self.force = largest_force(problem.comm, balance, force)
         f, w = self.residual(balance, contacts)
-        if self.size(np.where(self.bound, 0.0, f), w) > CONVERGED:
+        f[self.equal] = 0.0
+        if self.size(f, w) > CONVERGED:
             raise ValueError("problem: u does not solve it with the present data: call newton()")
         weak = np.where(on, force, gap) <= QUARTER_OF_DIGITS * largest(problem.comm, force)
         self.weak = problem.comm.allreduce(int(weak.sum()))
