@@ -316,7 +316,7 @@ class _Step:
 
     def direct(self, way: Way, *rates: Any) -> tuple[Floats, Floats]:
         """Derivatives of results and u."""
-        comm, left, tangent = self.problem.comm, np.inf, self.tangent
+        comm, left, tangent = self.problem.comm, 2.0, self.tangent
         dt: Any = 0.0
         h, u = STEP * (way[1] or 1.0), norm(self.problem.comm, self.u)
         f, w = self.differ(self.residual, h, way, 0.0, dt, *rates)
@@ -329,7 +329,7 @@ class _Step:
             du, dt, last = du + change, dt + more, left
             least = QUARTER_OF_DIGITS * STEP * u / h
             left = ratio(norm(comm, change), max(norm(comm, du), least))
-            if left <= HALF_OF_DIGITS or left > 0.5 * last:
+            if left * left <= HALF_OF_DIGITS * last or left > 0.5 * last:
                 break
         if left > STEP:
             self.notes.append(f"derivatives are accurate to {left:.1e} only")
