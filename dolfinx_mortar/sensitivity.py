@@ -49,7 +49,7 @@ Way = tuple[Callable[[float], None], float]  # what sets p + h e, and |p| / |e|
 LIST = instance((list, tuple), "give a list")
 QUANTITY = Rule[Any](
     "give a function without arguments, or a functional in UFL",
-    lambda q: q if callable(q) or (isinstance(q, ufl.Form) and not q.arguments()) else None,
+    lambda q: None if not callable(q) or (isinstance(q, ufl.Form) and q.arguments()) else q,
 )
 PARAMETER = (
     "give a Constant, a Function, (Constant or Function, direction), (mesh, Function on V), or "
@@ -153,9 +153,10 @@ class _Tangent:
         force, gap = contacts.reactions(balance), np.abs(bounds.upper) * self.scale[bounds.dofs]
         self.force = largest_force(problem.comm, balance, force)
         f, w = self.residual(balance, contacts)
-        if self.size(np.where(self.bound, 0.0, f), w) > CONVERGED:
+        f[self.equal] = 0.0
+        if self.size(f, w) > CONVERGED:
             raise ValueError("problem: u does not solve it with the present data: call newton()")
-        weak = np.where(on, force, gap) < QUARTER_OF_DIGITS * largest(problem.comm, force)
+        weak = np.where(on, force, gap) <= QUARTER_OF_DIGITS * largest(problem.comm, force)
         self.weak = problem.comm.allreduce(int(weak.sum()))
 
     def residual(self, balance: Balance, contacts: Contacts) -> Floats:
@@ -315,11 +316,11 @@ class _Step:
 
     def direct(self, way: Way, *rates: Any) -> tuple[Floats, Floats]:
         """Derivatives of results and u."""
-        comm, left, tangent = self.problem.comm, np.inf, self.tangent
+        comm, left, tangent = self.problem.comm, 2.0, self.tangent
         dt: Any = 0.0
         h, u = STEP * (way[1] or 1.0), norm(self.problem.comm, self.u)
         f, w = self.differ(self.residual, h, way, 0.0, dt, *rates)
-        if effect := h * tangent.size(f, w):
+        if 0.0 < (effect := h * tangent.size(f, w)) < np.inf:
             h *= (STEP / effect) ** (1 / 3 if way[1] else 1)
         du = tangent.lifted(self.problem.vector(), w)
         while True:
@@ -328,7 +329,7 @@ class _Step:
             du, dt, last = du + change, dt + more, left
             least = QUARTER_OF_DIGITS * STEP * u / h
             left = ratio(norm(comm, change), max(norm(comm, du), least))
-            if left <= HALF_OF_DIGITS or left > 0.5 * last:
+            if left * left <= HALF_OF_DIGITS * last or left > 0.5 * last:
                 break
         if left > STEP:
             self.notes.append(f"derivatives are accurate to {left:.1e} only")

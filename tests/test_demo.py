@@ -125,6 +125,16 @@ def test_first_yield_is_at_the_analytic_load(interference, yields, tmp_path):
 
 
 @pytest.mark.slow
+def test_constants_are_identified_from_all_starts():
+    """Those of the noise-free curve, in at most 15 iterations of Gauss and Newton's method."""
+    found = read(shown("identify"))
+    assert len(found["runs"]) == 3
+    for run in found["runs"]:
+        assert run["iterations"] <= 15
+        near(run, 1e-6, **found["expected"])
+
+
+@pytest.mark.slow
 def test_a_ball_is_flattened_as_others_have_found():
     """Force within 5 % of either fit, contact radius to the facet."""
     steps = read(shown("indentation"))["steps"]

@@ -203,6 +203,11 @@ DEMOS = [
         ("--tool", "cone", "ball", "berkovich"),
     ),
     Demo(
+        "identify",
+        "Sensitivities: three constants of a plastic law from an indentation curve.",
+        {"result.png": "The measured curve and those of the starts; errors of the constants."},
+    ),
+    Demo(
         "deep_drawing",
         "Rigid tools, one of them driven by a force: deep drawing of a cup.",
         {"result.png": "Force of the punch beside Siebel's estimate; von Mises stress in the cup."},
