@@ -15,16 +15,19 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import petsc
-from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import Relaxed, maximum, raised_together
-from dolfinx_mortar.common.arguments import check, instance, number
-from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.agreement import check_same_on_all_ranks
+from dolfinx_mortar.common.arguments import NUMBER, Rule, check, check_optional, instance, number
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, TINY, Bools, Floats, Longs
+from dolfinx_mortar.common.compat import interpolation_points
 from dolfinx_mortar.common.spaces import check_space
+from dolfinx_mortar.common.tags import tags_of
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
+from dolfinx_mortar.interfaces.results import NoResult
+from dolfinx_mortar.mortar.assembly import assemble_mortar
 from dolfinx_mortar.solid.laws import by_cells
 
-Law = float | fem.Function | Callable[[Floats, Floats], Any]
+Law = float | fem.Constant | fem.Function | Callable[[Floats, Floats], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +36,11 @@ class Conductance:
 
     Args:
         interface: a contact, tie or tool of the problem.
-        h: conductance where it is closed: a number, a Function of the temperature's space, or a
-            function of pressures and gaps, arrays (n,); None for T_s = T_m.
+        h: conductance where it is closed: a number, a Constant, a Function of the temperature's
+            space, or a function of pressures and gaps, arrays (n,); None for T_s = T_m.
         open: the same where it is open, 0 by default.
-        share: of the heat of friction that enters the slave side, 0 to 1; the rest enters the
-            master side, and is lost in a tool.
+        share: of the heat of friction or current that enters the slave side, 0 to 1; the rest
+            enters the master side, and is lost in a tool.
         temperature: of a tool.
 
     Raises:
@@ -53,6 +56,7 @@ class Conductance:
     def __post_init__(self) -> None:
         check("interface", self.interface, instance(Interface, "give a contact, tie or tool"))
         check("share", self.share, number("a share", least=0.0, most=1.0))
+        check("temperature", _number(self.temperature), NUMBER)
         for name, law in (("h", self.h), ("open", self.open)):
             if not (law is None and name == "h") and not isinstance(law, fem.Function | Callable):
                 check(name, law, number("a conductance", least=0.0))
@@ -62,53 +66,58 @@ class Conductance:
                 "a large h"
             )
 
-    def closed(self, V: fem.FunctionSpace) -> Bools:
-        """Nodes of this rank in contact, those of a tie all; collective."""
-        if not self.interface.unilateral:
-            return np.ones(len(V.tabulate_dof_coordinates()), dtype=bool)
-        return _at_nodes(V, self.interface, "active") > 0.5
-
-    def values(self, V: fem.FunctionSpace, closed: Bools) -> Floats:
-        """Conductances at the nodes of this rank; collective."""
+    def values(self, V: fem.FunctionSpace) -> tuple[Bools, Floats]:
+        """Nodes of this rank in contact, those of a tie all, and conductances; collective."""
+        closed, *at = np.outer([1.0, 0.0, 0.0], np.ones(len(V.tabulate_dof_coordinates())))
         if self.interface.unilateral:
-            at = [_at_nodes(V, self.interface, name) for name in ("pressure", "gap")]
-        else:
-            at = [np.zeros(len(closed))] * 2
+            closed, *at = (
+                _at_nodes(V, self.interface, name) for name in ("active", "pressure", "gap")
+            )
         laws = [0.0 if self.h is None else self.h, self.open]
-        shut, apart = (_evaluate(law, *np.nan_to_num(at)) for law in laws)
-        found = np.where(closed, shut, apart)
         with raised_together(V.mesh.comm):
+            given = (_evaluate(law, *np.nan_to_num(at)) for law in laws)
+            found: Floats = np.where(closed > 0.5, next(given), next(given))
             for i in np.flatnonzero(~((found >= 0.0) & (found < np.inf))):
                 x = ", ".join(f"{v:.4g}" for v in V.tabulate_dof_coordinates()[i])
                 raise ValueError(
                     f"the conductance of {self.interface!r} is {found[i]:g} at ({x}), pressure "
                     f"{at[0][i]:g}: give a law that is finite and not negative"
                 )
-        return found
+        return closed > 0.5, found
 
     def friction(self, V: fem.FunctionSpace, dt: float | None) -> Floats:
         """Heat of friction per area and time at the nodes of this rank; collective."""
         if getattr(self.interface, "law", None) is None:
             return np.zeros(len(V.tabulate_dof_coordinates()))
-        traction, slip = (
-            _at_nodes(V, self.interface, name).reshape(-1, V.mesh.geometry.dim)
-            for name in ("traction", "step_slip")
-        )
-        work = -(traction * slip).sum(axis=1)
+        traction, slip = (_at_nodes(V, self.interface, name) for name in ("traction", "step_slip"))
+        work = -(traction * slip).reshape(-1, V.mesh.geometry.dim).sum(axis=1)
         if dt is None and maximum(V.mesh.comm, np.abs(work).max(initial=0.0))[0] > 0.0:
             raise ValueError(f"{self.interface!r} has friction, which heats by its power: give dt")
         return work if dt is None else work / dt
 
 
 def _evaluate(law: Law, pressure: Floats, gap: Floats) -> Floats:
-    if isinstance(law, fem.Function):
-        return np.asarray(law.x.array)
-    value = law(pressure, gap) if callable(law) else law
-    return np.broadcast_to(np.asarray(value, dtype=float), pressure.shape)
+    own = isinstance(law, fem.Constant | fem.Function)
+    value = law(pressure, gap) if callable(law) and not own else _number(law)
+    found = np.asarray(value, dtype=float)
+    if found.shape not in ((), pressure.shape):
+        raise ValueError(
+            f"a conductance gives values of the shape {found.shape} at {len(gap)} nodes: give one "
+            "for each node, or a Function of T's space"
+        )
+    return found
+
+
+def _number(given: Any) -> Any:
+    if isinstance(given, fem.Function):
+        return given.x.array
+    return float(given.value) if isinstance(given, fem.Constant) else given
 
 
 def _at_nodes(V: fem.FunctionSpace, interface: Interface, name: str) -> Floats:
     """Result of the last step at the nodes of V (times components)."""
+    if interface.resultants is None:
+        raise NoResult(interface, name)
     result = getattr(interface, name)
     of = V
     if result.function_space.dofmap.bs > 1:
@@ -137,13 +146,15 @@ class Heat:
         bcs: Dirichlet conditions on T.
         sources: r, power per volume: a number, Constant, Function or UFL.
         loads: linear form of the flux that enters, in the test function of T's space.
+        current: a `Heat` for the potential on the same space, solved first, whose power heats:
+            k |grad phi|^2 per volume, h (phi_s - phi_m)^2 per area of an interface.
         u: displacement of the problem at whose positions the sides meet and bodies conduct, None
             for X.
         axisymmetric: whether all is per whole ring, with the weight 2 pi x[0].
 
     Raises:
-        ValueError: on all ranks, for arguments that are negative, not finite or of another space,
-            cells without a conductivity, and fields that nothing holds (at the first solution).
+        ValueError: on all ranks, for arguments that are negative, not finite or of another mesh or
+            space, cells without a conductivity, and fields that nothing holds (when solved).
     """
 
     def __init__(
@@ -155,8 +166,9 @@ class Heat:
         capacity: Any = None,
         interfaces: Sequence[Conductance] = (),
         bcs: Sequence[fem.DirichletBC] = (),
-        sources: Any = None,
+        sources: Any = 0.0,
         loads: ufl.Form | None = None,
+        current: Heat | None = None,
         u: fem.Function | None = None,
         axisymmetric: bool = False,
     ) -> None:
@@ -165,29 +177,53 @@ class Heat:
         check_space(V, scalar=True)
         self.T, self.V, self.comm, self.u = T, V, V.mesh.comm, u
         self.interfaces, self.bcs = list(interfaces), list(bcs)
+        facets = tags_of(V.mesh, V.mesh.topology.dim - 1)
         for i, one in enumerate(self.interfaces):
             check(f"interfaces[{i}]", one, instance(Conductance, "give a Conductance"))
+            check(f"interfaces[{i}]: facet_tags", one.interface.facet_tags, facets)
+        of_V: Rule[Heat] = Rule(
+            "give a Heat on T's space", lambda f: f if HEAT.read(f) and f.V == V else None
+        )
+        check_optional("current", current, of_V)
+        self.given = [conductivity, capacity, self.bcs, sources, loads, self.interfaces]
+        check_same_on_all_ranks(self.comm, heat=self.given, axisymmetric=axisymmetric)
+        self.fields: list[Heat] = [*([] if current is None else current.fields), self]
+        self.current, self.rubbed = current, True
         self.before = T.copy()  # at the start of the step
         self.relaxed = Relaxed(self.comm)
         self.rate = fem.Constant(V.mesh, default_scalar_type(0.0))  # 1 / dt
-        self.axisymmetric = axisymmetric
-        k = _on_cells("conductivity", conductivity, cell_tags, V)
-        c = _on_cells("capacity", capacity, cell_tags, V) if capacity is not None else 0.0
-        x = ufl.SpatialCoordinate(V.mesh)
-        self.weight = 2 * np.pi * x[0] if axisymmetric else 1.0
+        self._weight = (lambda X: 2 * np.pi * X[:, 0]) if axisymmetric else None
+        k, c = (_on_cells(*given, cell_tags, V) for given in zip(LAWS, self.given, strict=False))
+        self._laws = [*k[1], *c[1]]
+        x, normal = ufl.SpatialCoordinate(V.mesh), ufl.FacetNormal(V.mesh)
+        at = x if u is None else x + u
+        J, inverse = ufl.det(ufl.grad(at)), ufl.inv(ufl.grad(at))
+        weight, hoop = 1.0, fem.Constant(V.mesh, default_scalar_type(1.0))
+        turned = J * ufl.dot(normal, inverse)
+        if axisymmetric:
+            weight = 2 * np.pi * x[0]
+            hoop = ufl.conditional(ufl.gt(x[0], 0.0), at[0] / x[0], ufl.grad(at)[0, 0])
+
+        slope = ufl.dot(ufl.grad(T), inverse)
+        self.power = weight * hoop * k[0] * J * ufl.dot(slope, slope)
         v, w, dx = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.dx(V.mesh)
-        zero = fem.Constant(V.mesh, default_scalar_type(0.0))
-        move = ufl.Identity(len(x)) + (ufl.grad(u) if u is not None else 0.0 * ufl.Identity(len(x)))
-        J, inverse = ufl.det(move), ufl.inv(move)
-        slope = ufl.dot(ufl.grad(v), inverse), ufl.dot(ufl.grad(w), inverse)
-        conducted = k * J * ufl.inner(*slope) + c * self.rate * v * w
-        given = (c * self.rate * self.before + (zero if sources is None else sources)) * w
-        self._conducted = fem.form(self.weight * conducted * dx)
-        right = self.weight * given * dx
-        self._given = fem.form(right if loads is None else right + loads)
-        temperatures = [one.temperature for one in self.interfaces]
-        self.given = [conductivity, capacity, self.bcs, sources, loads, temperatures]
-        self._tools = [self._tool(one) for one in self.interfaces]
+        stored = weight * c[0] * self.rate * w
+        right = stored * self.before + weight * sources * w
+        if current is not None:
+            current.rubbed = False
+            right += current.power * w
+        conducted = ufl.derivative(ufl.derivative(self.power / 2 * dx, T, w), T, v)
+        self._left = fem.form(conducted + stored * v * dx)
+        self._right = fem.form(right * dx if loads is None else right * dx + loads)
+        self._hoop = fem.Expression(hoop, interpolation_points(V))
+        area = weight * ufl.sqrt(ufl.dot(turned, turned)) * w
+        self._areas = {
+            one: fem.form(
+                area * ufl.Measure("ds", V.mesh, subdomain_data=side.facet_tags)(side.slave)
+            )
+            for one, side in ((one, one.interface) for one in self.interfaces)
+            if side.master is None
+        }
 
     def solve(self, dt: float | None = None) -> float:
         """Solve for T with the last step's pressures, gaps and friction; collective.
@@ -200,37 +236,52 @@ class Heat:
             Largest change of T against its last value, over the range of T now and before.
 
         Raises:
-            ValueError: if nothing holds T in a body, conductances are negative or not finite, and
-                without dt if friction heats.
+            ValueError: if nothing holds T in a body, laws are negative or not finite, and without
+                dt if friction heats.
         """
-        if dt is not None:
-            check("dt", dt, number("a time", above=0.0))
+        check_optional("dt", dt, number("a time", above=0.0))
+        return max(field._solve_alone(dt) for field in self.fields)
+
+    def _solve_alone(self, dt: float | None) -> float:
+        with raised_together(self.comm):
+            for name, law, values, dofs in self._laws:
+                values.x.array[dofs] = check(name, _number(law), number(above=0.0))
         self.rate.value = 0.0 if dt is None else 1.0 / dt
-        A = petsc.assemble_matrix(self._conducted)
+        A, b = petsc.assemble_matrix(self._left), _assembled(self._right)
         A.assemble()
-        b = petsc.assemble_vector(self._given)
-        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        ties, held = [], np.zeros(len(self.T.x.array), dtype=bool)
+        held, hoop = np.zeros(len(self.T.x.array), dtype=bool), fem.Function(self.V)
         for bc in self.bcs:
             held[bc.dof_indices()[0]] = True
-        for one, tool in zip(self.interfaces, self._tools, strict=True):
-            closed = one.closed(self.V)
-            values = one.values(self.V, closed), one.friction(self.V, dt)
-            if tool:
-                self._add_tool(tool, values, A, b)
-                continue
-            self._add_sides(one.interface, one.share, values, A, b)
+        hoop.interpolate(self._hoop)
+        ties, self._across = list[PETSc.Mat](), list[Any]()
+        for one in self.interfaces:
+            D, M, nodes = self._sides(one)
+            G, size = D - M, D.getRowSum().array
+            per_area = 1.0 / np.where(size > 0.0, size, 1.0)
+            closed, h = one.values(self.V)
+            given = h, one.friction(self.V, dt) * self.rubbed
+            h, rate = ((values * hoop.x.array)[nodes] for values in given)
+            scaled, factor = G.copy(), D.createVecLeft()
+            factor.array = h * per_area
+            scaled.diagonalScale(factor)
+            A.axpy(1.0, G.transposeMatMult(scaled))
+            _spread(b, one.share, D, M, rate, h * _number(one.temperature))
             if one.h is None:
-                ties.append(self._tie(one.interface, *map(self._global, (closed, held))))
-        change = self._solve(A, b, ties)
+                rows = np.flatnonzero((closed & ~held)[nodes]) + G.getOwnershipRange()[0]
+                every = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=self.comm)
+                ties.append(G.createSubMatrix(every))
+            self._across.append((one, D, M, h, per_area))
+        if self.current is not None:
+            self.current.add_power(b)
+        change = self._solve(A, b, ties, held)
         every = np.concatenate([self.T.x.array, self.before.x.array])
         high, low = maximum(self.comm, every.max(initial=-np.inf), (-every).max(initial=-np.inf))
-        return change / max(float(high + low), TINY)
+        return change / max(float(high + low), QUARTER_OF_DIGITS * float(max(high, low)), TINY)
 
     def commit(self) -> None:
         """Make the temperature that of the start of the next step."""
-        self.before.x.array[:] = self.T.x.array
-        self.relaxed.last = None
+        for one in self.fields:
+            one.before.x.array[:], one.relaxed.last = one.T.x.array, None
 
     @contextmanager
     def undone(self) -> Iterator[None]:
@@ -238,85 +289,46 @@ class Heat:
         try:
             yield
         except BaseException:
-            self.T.x.array[:] = self.before.x.array
-            self.relaxed.last = None
+            for one in self.fields:
+                one.T.x.array[:], one.relaxed.last = one.before.x.array, None
             raise
 
-    def _tool(self, one: Conductance) -> tuple[Any, ...]:
-        """Conductance, heat of friction, and forms of a tool's flux."""
-        if one.interface.master is not None:
-            return ()
-        h, rate = fem.Function(self.V), fem.Function(self.V)
-        v, w = ufl.TrialFunction(self.V), ufl.TestFunction(self.V)
-        tags = one.interface.facet_tags
-        d = ufl.Measure("ds", self.V.mesh, subdomain_data=tags)(one.interface.slave)
-        given = self.weight * (h * one.temperature + one.share * rate) * w * d
-        return h, rate, fem.form(self.weight * h * v * w * d), fem.form(given)
+    def add_power(self, b: PETSc.Vec) -> None:
+        """Add the power of this current at interfaces, after a solution; collective."""
+        for one, D, M, h, per_area in self._across:
+            drop = ((D - M) * self.T.x.petsc_vec).array * per_area - _number(one.temperature)
+            _spread(b, one.share, D, M, h * drop**2)
 
-    def _add_tool(self, tool: tuple[Any, ...], values: Sequence[Floats], A: Any, b: Any) -> None:
-        h, rate, left, right = tool
-        h.x.array[:], rate.x.array[:] = values
-        flux, given = petsc.assemble_matrix(left), petsc.assemble_vector(right)
-        flux.assemble()
-        given.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        A.axpy(1.0, flux)
-        b.axpy(1.0, given)
+    def _sides(self, one: Conductance) -> tuple[PETSc.Mat, PETSc.Mat, Longs]:
+        """D, M and the slave nodes (rows,); of a tool areas of all nodes, and zero; collective."""
+        side = one.interface
+        if side.master is None:
+            areas = _assembled(self._areas[one])
+            D = PETSc.Mat().createAIJ([areas.sizes] * 2, nnz=1, comm=self.comm)
+            D.setDiagonal(areas)
+            D.assemble()
+            return D, 0.0 * D, np.arange(areas.local_size)
+        sides = {"slave": side.slave, "master": side.master}
+        mortar = assemble_mortar(self.V, side.facet_tags, **sides, u=self.u, weight=self._weight)
+        return mortar.D, mortar.M, mortar.nodes - self.V.dofmap.index_map.local_range[0]
 
-    def _add_sides(
-        self, interface: Interface, share: float, values: Sequence[Floats], A: Any, b: Any
-    ) -> None:
-        """Add int h (T_s - T_m) (w_s - w_m), and the heat of friction."""
-        sides: dict[str, Any] = {"slave": interface.slave, "master": interface.master}
-        points = segments(self.V, interface.facet_tags, **sides, u=self.u)
-        on_slave = np.asarray(
-            self.V.dofmap.index_map.global_to_local(points.slave_dofs.ravel())
-        ).reshape(points.slave_dofs.shape)
-        area = points.weight
-        if self.axisymmetric:
-            area = area * 2 * np.pi * points.x[:, 0]
-        h, rate = (area * (points.slave_values * v[on_slave]).sum(axis=1) for v in values)
-        dofs = np.hstack([points.slave_dofs, points.master_dofs]).astype(PETSc.IntType)
-        jump = np.hstack([points.slave_values, -points.master_values])
-        k = dofs.shape[1]
-        entries = np.repeat(dofs, k, axis=1), np.tile(dofs, (1, k))
-        flux = h[:, None, None] * jump[:, :, None] * jump[:, None]
-        A.axpy(1.0, Triplets(self.comm, self.V.dofmap.index_map, *entries).fill(flux))
-        shares = np.hstack([share * points.slave_values, (1.0 - share) * points.master_values])
-        b.setValues(dofs.ravel(), (rate[:, None] * shares).ravel(), addv=True)
-        b.assemble()
-
-    def _global(self, mask: Bools) -> Longs:
-        nodes = np.flatnonzero(mask).astype(np.int32)
-        return np.asarray(self.V.dofmap.index_map.local_to_global(nodes))
-
-    def _tie(self, interface: Interface, closed: Longs, held: Longs) -> PETSc.Mat:
-        """Rows of D - M of closed nodes whose temperature is not prescribed."""
-        sides: dict[str, Any] = {"slave": interface.slave, "master": interface.master}
-        mortar = assemble_mortar(self.V, interface.facet_tags, **sides, u=self.u)
-        chosen = np.isin(mortar.nodes, closed) & ~np.isin(mortar.nodes, held)
-        rows = mortar.D.getOwnershipRange()[0] + np.flatnonzero(chosen)
-        every = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=self.comm)
-        return (mortar.D - mortar.M).createSubMatrix(every)
-
-    def _solve(self, A: PETSc.Mat, b: PETSc.Vec, ties: list[PETSc.Mat]) -> float:
+    def _solve(self, A: PETSc.Mat, b: PETSc.Vec, ties: list[PETSc.Mat], held: Bools) -> float:
         """Solve with the Dirichlet conditions and multipliers; return the largest change."""
-        n, held = b.local_size, list[Ints]([np.empty(0, dtype=np.int32)])
+        n = b.local_size
         for C in ties:
             both = [[A, C.transpose(PETSc.Mat())], [C, None]]
             A = PETSc.Mat().createNest(both, comm=self.comm).convert("aij")
         x, right = A.createVecs()
         right.array[:n] = b.array
         for bc in self.bcs:
-            dofs, count = bc.dof_indices()
-            held.append(dofs[:count])
             bc.set(x.array, None, 1.0)
-        rows = np.unique(np.concatenate(held)) + A.getOwnershipRange()[0]
+        rows = np.flatnonzero(held[:n]) + A.getOwnershipRange()[0]
         A.zeroRowsColumns(rows.astype(PETSc.IntType), 1.0, x, right)
         ksp = PETSc.KSP().create(self.comm)
         ksp.setOperators(A)
         ksp.setType("preonly")
-        ksp.getPC().setType("lu")
         pc = ksp.getPC()
+        pc.setType("lu")
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
         factor = pc.getFactorMatrix()
@@ -327,7 +339,8 @@ class Heat:
         if not change < np.inf or factor.getMumpsInfog(28) > 0:
             raise ValueError(
                 "nothing holds the temperature of a body: give a Dirichlet condition, a "
-                "conductance, or a capacity and dt"
+                "conductance, or a capacity and dt; or sources, loads, conditions or temperatures "
+                "of tools are not finite"
             )
         self.T.x.array[:n] += self.relaxed(way)
         self.T.x.scatter_forward()
@@ -337,21 +350,31 @@ class Heat:
 HEAT = instance(Heat, "give a Heat")
 
 
-def _on_cells(name: str, given: Any, cell_tags: Any, V: fem.FunctionSpace) -> fem.Function:
-    """Positive constants of cells as a Function; collective."""
-    positive = number(above=0.0)
-    if not isinstance(given, Mapping):
-        value = given.value if isinstance(given, fem.Constant) else given
-        check(name, float(value), positive)
-        return (
-            given
-            if isinstance(given, fem.Constant)
-            else fem.Constant(V.mesh, default_scalar_type(value))
-        )
-    found, tags = by_cells(V.mesh, cell_tags, given, name, cover=True)
+LAWS = "conductivity", "capacity"
+
+
+def _assembled(form: fem.Form) -> Any:
+    """Vector of a form; collective."""
+    b = petsc.assemble_vector(form)
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    return b
+
+
+def _spread(b: PETSc.Vec, share: float, D: Any, M: Any, heat: Floats, flux: Any = 0.0) -> None:
+    """Add heat per area to both sides by their shares, and a flux into the slave side."""
+    values = D.createVecLeft()
+    for X, part in ((D, share * heat + flux), (M, (1.0 - share) * heat - flux)):
+        values.array = part
+        X.multTransposeAdd(values, b, b)
+
+
+def _on_cells(name: str, given: Any, cell_tags: Any, V: fem.FunctionSpace) -> tuple[Any, list[Any]]:
+    """Function of cells, and name, law and its dofs for each entry; collective."""
     values = fem.Function(fem.functionspace(V.mesh, ("DG", 0)))
-    for tag, value in found.items():
-        check(f"{name}[{tag}]", value, positive)
-        values.x.array[values.function_space.dofmap.list[: len(tags), 0][tags == tag]] = value
-    values.x.scatter_forward()
-    return values
+    if not isinstance(given, Mapping):
+        return values, [(name, given, values, slice(None))] * (given is not None)
+    found, tags = by_cells(V.mesh, cell_tags, given, name, cover=True)
+    dofs = values.function_space.dofmap.list[: len(tags), 0]
+    return values, [
+        (f"{name}[{tag}]", law, values, dofs[tags == tag]) for tag, law in found.items()
+    ]
