@@ -209,8 +209,9 @@ def describe_passing(problem: ContactProblem) -> str:
         if tool is None:
             found = find_passed(side, other[0], began, problem.u)
         else:
-            offset = system.link(interface).coupling.offset
-            removed = np.zeros(1) if offset is None else np.maximum(offset, 0.0)
+            links = [link for link in system.links if link.interface is interface]
+            offsets = [link.coupling.offset for link in links if link.coupling.offset is not None]
+            removed = np.maximum(np.concatenate([np.zeros(1), *offsets]), 0.0)
             at = side, began, problem.u, tool.seen()
             found = find_passed_tool(*at, largest(problem.comm, removed))
         if found is not None:
