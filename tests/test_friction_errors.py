@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Bad limits of friction: named with value and remedy, on all ranks, before anything has moved."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -136,7 +138,7 @@ def test_a_zero_of_another_degree_is_no_negative_limit(monkeypatch):
     given = fem.Function(linear)
     given.interpolate(lambda x: np.where(x[0] < 0.5, -1e-16, 0.3 + x[1]))
     law = FrictionLaw("friction", given)
-    at = {"pressure": fem.Function(linear)}
+    at = SimpleNamespace(pressure=fem.Function(linear))
     assert law.values(at).min(initial=0.0) == 0.0
     monkeypatch.setattr(constraints, "ROUND_OFF", 0.0)
     with rejected("friction", "finite and >= 0"):

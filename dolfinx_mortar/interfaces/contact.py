@@ -210,10 +210,10 @@ class Unilateral(Interface):
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
-        value = getattr(self.law, "value", None)
-        for one in getattr(value, "reads", [value]):
-            if isinstance(one, fem.Function):  # Constants need no mesh
-                check_mesh("friction", one, V)
+        if self.law is not None:
+            for one in getattr(self.law.value, "reads", [self.law.value]):
+                if isinstance(one, fem.Function):  # Constants need no mesh
+                    check_mesh(self.law.name, one, V)
 
     @property
     def friction(self) -> Limit | None:
