@@ -16,6 +16,11 @@ REST, SLIDING = 0.5, 0.3
 LIGHT = -1e-6  # of the top: so light a pressure that blocks slide as rigid ones
 
 
+def scalar(V):
+    """Return a scalar Function on the mesh of V."""
+    return fem.Function(V.sub(0).collapse()[0])
+
+
 def drag(case):
     """Return the tangential over the normal force."""
     force = np.abs(case.contact.force)
@@ -271,6 +276,7 @@ def test_a_function_that_returns_something_else(friction, words):
         (lambda V: Coefficient(max, reads=[fem.Function(V)]), ("reads[0]", "scalar")),
         (lambda V: Coefficient(max, reads=[0.3]), ("reads[0]", "0.3")),
         (lambda V: create_pushed(friction=Coefficient(max, state={"gap": 0.0})), ("gap",)),
+        (lambda V: create_pushed(friction=Coefficient(max, reads=[scalar(V)])), ("another mesh",)),
     ],
 )
 def test_wrong_arguments(create, words):
