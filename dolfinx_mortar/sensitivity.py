@@ -22,7 +22,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, largest, norm, ratio
 from dolfinx_mortar.common.arguments import FINITE, Rule, array, check
-from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Floats
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.persistence.committed import Before
@@ -284,19 +284,18 @@ class _Step:
                 break
         if error > STEP:
             self.notes.append(f"derivatives are accurate to {error:.1e} only")
-        found = self.differ(self.results, h, way, du, dt, *rates)
-        if not (effect or any_rank(comm, found.any())[0] or self.reads(way)):
+        if effect <= SAME and not self.reads(way):
             raise ValueError("to: nothing reads one of the parameters; leave it out")
-        return found, du
+        return self.differ(self.results, h, way, du, dt, *rates), du
 
     def reads(self, way: Way) -> bool:
         """Whether NaN or zero makes a difference or an error."""
-        base = self.corrected()
+        comm, base = self.problem.comm, np.append(self.corrected(), self.results())
         for h in (np.nan, -way[1]):
             try:
                 way[0](h)
-                changes = self.moves or not np.array_equal(self.corrected(), base)
-                if any_rank(self.problem.comm, changes)[0]:
+                changed = base if self.moves else np.append(self.corrected(), self.results()) - base
+                if not norm(comm, changed) <= SAME * norm(comm, base):
                     return True
             except ValueError:
                 return True
