@@ -13,23 +13,21 @@ from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from typing import Any
-
-from petsc4py import PETSc
 
 import numpy as np
 
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, largest, norm, ratio
-from dolfinx_mortar.common.arguments import FINITE, Rule, check, instance
-from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, TINY, Floats
-from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.common.arguments import FINITE, Rule, array, check
+from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Floats
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.checks import StepData, check_problem
-from dolfinx_mortar.problem.contacts import Contacts, largest_force
+from dolfinx_mortar.problem.contacts import Contacts
 from dolfinx_mortar.problem.linearisation import (
     Balance,
     find_balance,
@@ -46,7 +44,7 @@ STEP, CONVERGED = EPS ** (1 / 3), 1e-5
 
 Way = tuple[Callable[[float], None], float]  # what sets p + h e, and |p| / |e|
 
-LIST = instance((list, tuple), "give a list")
+LIST = Rule[Any]("give a list", lambda v: v if isinstance(v, list | tuple) and v else None)
 QUANTITY = Rule[Any](
     "give a function without arguments, or a functional in UFL",
     lambda q: None if not callable(q) or (isinstance(q, ufl.Form) and q.arguments()) else q,
@@ -119,7 +117,7 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
 
 
 class _Tangent:
-    """f and w at given forces and constraints, and their linear system."""
+    """The QP of the converged step, and its active set."""
 
     def __init__(
         self, problem: ContactProblem, contacts: Contacts, data: StepData, balance: Balance
@@ -131,90 +129,41 @@ class _Tangent:
         qp, bounds, limits = replace(lin.qp, extent=0.0), balance.bounds, balance.limits
         if qp.product is not None:
             qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
-        self.linear = copy(problem.linear)
+        self.problem, self.qp, self.linear = problem, qp, copy(problem.linear)
         self.linear.abandon()
         self.linear.set_matrix(qp.A, definite=qp.definite, near=qp.near)
         self.T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
-        self.problem, self.contacts, self.qp = problem, contacts, qp
-        self.limits: Any = limits
-        on, self.equal, z = contacts.active[balance.nodes], balance.equal.dofs, balance.reduced
+        on = contacts.active[balance.nodes]
         self.state = State.create(qp, on.astype(np.int8), contacts.directions(limits))
-        self.normal, self.nodes, self.D = bounds.dofs[on], balance.nodes[on], bounds.weight[on]
-        self.bound = np.isin(np.arange(z.local_size), [*self.equal, *self.normal])
-        self.scale = np.abs(lin.diagonal.array)
         if (law := qp.friction) is not None:
             kappa = np.asarray(contacts.kappa(limits))
             kappa = np.where(law.across & np.isfinite(kappa), kappa, self.state.stiffness)
             self.state = replace(self.state, stiffness=kappa)
-            self.slips = self.state.slips(law)[:, None] & law.some
-            self.acts = law.acts(on[law.normal])[:, None] & law.some
-            self.bound[law.tangential[self.acts]] = True
-            self.scale[law.tangential[self.slips]] = 1.0
-        force, gap = contacts.reactions(balance), np.abs(bounds.upper) * self.scale[bounds.dofs]
-        self.force = largest_force(problem.comm, balance, force)
-        f, w = self.residual(balance, contacts)
-        f[self.equal] = 0.0
-        if self.size(f, w) > CONVERGED:
-            raise ValueError("problem: u does not solve it with the present data: call newton()")
-        weak = np.where(on, force, gap) <= QUARTER_OF_DIGITS * largest(problem.comm, force)
+        z, gap = contacts.reactions(balance), np.abs(bounds.upper) * lin.diagonal.array[bounds.dofs]
+        weak = np.where(on, z, gap) <= QUARTER_OF_DIGITS * largest(problem.comm, z)
         self.weak = problem.comm.allreduce(int(weak.sum()))
 
-    def residual(self, balance: Balance, contacts: Contacts) -> Floats:
-        """Forces f and gaps w (2, n)."""
-        found = np.stack([balance.reduced.array_r, 0.0 * self.scale])
-        found[0, balance.bounds.dofs] -= contacts.reactions(balance)
-        for part in (balance.equal, balance.bounds):
-            found[1, part.dofs] = part.upper
-        if (limits := balance.limits) is not None:
-            some, z, (mu, cohesion) = (
-                limits.some,
-                contacts.tangential_reactions(limits),
-                limits.left,
-            )
-            most = mu * contacts.multipliers[limits.nodes] + cohesion / limits.weight
-            law = most[:, None] * self.directions(limits) - z / limits.weight[:, None]
-            w = np.where(self.slips, self.limits.weight[:, None] * law, -limits.slip)
-            some = limits.some
-            found[:, limits.tangential[some]] += np.stack([-z[some], w[some]])
-        found[1, ~self.bound] = 0.0
-        return found
-
-    def directions(self, limits: SlipLimits) -> Floats:
-        """Directions of slip (m, t), which turn in space."""
-        size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
-        turns = limits.some.all(axis=1, keepdims=True) & (self.problem.d > 2) & (size > 0.0)
-        unit = limits.slip / np.where(turns, size, 1.0)
-        return np.where(turns, unit, np.asarray(self.contacts.directions(limits)))
-
-    def size(self, f: Floats, w: Floats) -> float:
-        """Size relative to the forces."""
-        return ratio(norm(self.problem.comm, f, w * self.scale), self.force)
-
-    def correct(self, f: Floats, w: Floats) -> tuple[Floats, Floats]:
-        """Changes of u' and t'."""
-        problem, law, upper = self.problem, self.qp.friction, self.qp.upper.copy()
-        b, dt = f.copy(), np.zeros((1 + problem.d, problem.n))
-        b[self.equal] = 0.0
-        upper.array[self.normal] = w[self.normal]
-        if law is not None:
-            w_t, cohesion = law.pick(w), np.where(law.cohesion > 0.0, TINY, 0.0)
-            slid = np.where(self.slips, w_t, 0.0)
-            law.put(b, law.pick(b) - slid)
-            law = replace(law, rest=w_t - slid, cohesion=cohesion)
-        qp = replace(self.qp, b=problem.vector(b), upper=upper, friction=law)
-        held = HeldProblem(qp, self.linear, problem.vector(), SAME)
+    def solve(self, balance: Balance) -> tuple[Floats, Floats]:
+        """Correction of u (n,), and tractions (1 + d, nodes)."""
+        problem, b, upper = self.problem, balance.reduced.copy(), self.qp.upper.copy()
+        bounds, equal, limits = balance.bounds, balance.equal, balance.limits
+        b.array[equal.dofs], upper.array[bounds.dofs] = 0.0, bounds.upper
+        law, t = self.qp.friction, np.zeros((1 + problem.d, problem.n))
+        if law is not None and limits is not None:
+            mu, cohesion = limits.left
+            law = replace(law, rest=-limits.slip, coefficient=mu, cohesion=cohesion)
+        qp = replace(self.qp, b=b, upper=upper, friction=law)
+        held = HeldProblem(qp, self.linear, problem.vector(), EPS)
         held.solve(self.state, TIGHT)
         z = held.z.array_r
-        dt[0, self.nodes] = z[self.normal] / self.D
-        if law is not None:
-            t = self.acts * (law.pick(z) + slid) / self.limits.weight[:, None]
-            dt[1:, self.limits.nodes] = self.limits.vectors(t).T
-        return self.lifted(held.x, w), dt
-
-    def lifted(self, y: PETSc.Vec, w: Floats) -> Floats:
-        """Displacement of y, and w at Dirichlet data and ties."""
-        y.array[self.equal] = w[self.equal]
-        return np.array(to_displacement(self.T, y).array)
+        on = self.state.active > 0
+        t[0, balance.nodes[on]] = z[bounds.dofs[on]] / bounds.weight[on]
+        if law is not None and limits is not None:
+            acts = self.state.slips(law)[:, None] | self.state.sticks(law)
+            found = np.where(acts, law.pick(z), 0.0) / limits.weight[:, None]
+            t[1:, limits.nodes] = limits.vectors(found).T
+        held.x.array[equal.dofs] = equal.upper
+        return np.array(to_displacement(self.T, held.x).array), t
 
 
 class _Step:
@@ -245,6 +194,7 @@ class _Step:
             if wrong:
                 raise ValueError(f"problem: no derivatives here, {why}")
         self.problem, self.notes, self.moves = problem, list[str](), False
+        self.whole = problem.X, problem.system
         self.to = check("to", to if last is None else last.to, LIST)
         self.of = [check(f"of[{k}]", q, QUANTITY) for k, q in enumerate(check("of", of, LIST))]
         ended = outcome or committed
@@ -289,6 +239,7 @@ class _Step:
     def balance(self) -> tuple[StepData, Balance]:
         """Forces and constraints."""
         problem, kinematics = self.problem, self.problem.solid.kinematics
+        problem.X, problem.system = self.whole
         if self.moves:
             problem.X = problem.V.tabulate_dof_coordinates()[: problem.n, : problem.d]
             weight = None if kinematics.unweighted else kinematics.weights_at
@@ -299,9 +250,9 @@ class _Step:
         problem.follow_geometry()
         return data, find_balance(problem, data, 0.0, self.contacts.multipliers)
 
-    def residual(self) -> Floats:
-        """Forces f and gaps w (2, n)."""
-        return self.tangent.residual(self.balance()[1], self.contacts)
+    def corrected(self) -> Floats:
+        """Correction of u, and tractions."""
+        return np.concatenate([v.ravel() for v in self.tangent.solve(self.balance()[1])])
 
     def results(self) -> Floats:
         """Quantities, and the state at the end of the step."""
@@ -316,36 +267,35 @@ class _Step:
 
     def direct(self, way: Way, *rates: Any) -> tuple[Floats, Floats]:
         """Derivatives of results and u."""
-        comm, left, tangent = self.problem.comm, 2.0, self.tangent
-        dt: Any = 0.0
-        h, u = STEP * (way[1] or 1.0), norm(self.problem.comm, self.u)
-        f, w = self.differ(self.residual, h, way, 0.0, dt, *rates)
-        if 0.0 < (effect := h * tangent.size(f, w)) < np.inf:
-            h *= (STEP / effect) ** (1 / 3 if way[1] else 1)
-        du = tangent.lifted(self.problem.vector(), w)
-        while True:
-            f, w = self.differ(self.residual, h, way, du, dt, *rates)
-            change, more = tangent.correct(f, w)
-            du, dt, last = du + change, dt + more, left
-            least = QUARTER_OF_DIGITS * STEP * u / h
-            left = ratio(norm(comm, change), max(norm(comm, du), least))
-            if left * left <= HALF_OF_DIGITS * last or left > 0.5 * last:
+        comm, n, h, last = self.problem.comm, len(self.u), STEP * (way[1] or 1.0), np.inf
+        u, t = norm(comm, self.u), norm(comm, self.tractions.ravel())
+        du: Floats = np.zeros(n)
+        dt = 0.0 * self.tractions
+        for k in count():
+            found = self.differ(self.corrected, h, way, du, dt, *rates)
+            du, dt = du + found[:n], found[n:].reshape(dt.shape)
+            sizes = norm(comm, du), norm(comm, dt.ravel())
+            effect = h * max(ratio(sizes[0], u), ratio(sizes[1], t))
+            if k == 0 and 0.0 < effect < np.inf:
+                h *= (STEP / effect) ** (1 / 3 if way[1] else 1)
+            left = ratio(norm(comm, found[:n]), max(sizes[0], QUARTER_OF_DIGITS * STEP * u / h))
+            error, stays, last = left * min(ratio(left, last), 1.0), left > 0.5 * last, left
+            if k > 1 and (error <= HALF_OF_DIGITS or stays):
                 break
-        if left > STEP:
-            self.notes.append(f"derivatives are accurate to {left:.1e} only")
-        found = self.differ(self.results, h, way, du, dt, *rates)
-        if not (effect or any_rank(comm, found.any())[0] or self.reads(way)):
+        if error > STEP:
+            self.notes.append(f"derivatives are accurate to {error:.1e} only")
+        if effect <= SAME and not self.reads(way):
             raise ValueError("to: nothing reads one of the parameters; leave it out")
-        return found, du
+        return self.differ(self.results, h, way, du, dt, *rates), du
 
     def reads(self, way: Way) -> bool:
         """Whether NaN or zero makes a difference or an error."""
-        base = self.residual()
+        comm, base = self.problem.comm, np.append(self.corrected(), self.results())
         for h in (np.nan, -way[1]):
             try:
                 way[0](h)
-                changes = self.moves or not np.array_equal(self.residual(), base)
-                if any_rank(self.problem.comm, changes)[0]:
+                changed = base if self.moves else np.append(self.corrected(), self.results()) - base
+                if not norm(comm, changed) <= SAME * norm(comm, base):
                     return True
             except ValueError:
                 return True
@@ -362,6 +312,12 @@ class _Step:
                 self.of[k] = lambda form=form: comm.allreduce(fem.assemble_scalar(form))
         shapes = [np.shape(q()) for q in self.of]
         self.tangent = _Tangent(self.problem, self.contacts, *self.balance())
+        off, t = np.split(self.corrected(), [len(self.u)])
+        for missed, all_ in ((off, self.u), (t - self.tractions.ravel(), t)):
+            if ratio(norm(comm, missed), norm(comm, all_)) > CONVERGED:
+                raise ValueError(
+                    "problem: u does not solve it with the present data: call newton() again"
+                )
         if weak := self.tangent.weak:
             self.notes.append(f"{weak} nodes are about to open or close: one-sided derivatives")
         ways = [way for k, p in enumerate(self.to) for way in self.ways(f"to[{k}]", p)]
@@ -393,7 +349,8 @@ class _Step:
             w, e = e.x.array.reshape(-1, problem.d), np.zeros_like(target)
             e[cells, : problem.d] = w[problem.V.dofmap.list[:, : cells.shape[1]]]
         base = check(name, target, FINITE, PARAMETER).copy()
-        every = [e.x.array if isinstance(e, fem.Function) else e]
+        if moves and problem.solid.forms.dilatation is not None:
+            raise ValueError(f"{name} are coordinates: mean dilatation has no derivative by them")
 
         def put(e: Floats, h: float) -> None:
             self.moves, value = moves and h != 0.0, base + h * e if h else base
@@ -402,14 +359,23 @@ class _Step:
             else:
                 target[...] = value
 
-        if e is None:
-            number, total = np.arange(base.size), base.size
-            if isinstance(thing, fem.Function):
-                dofs, size = thing.function_space.dofmap, thing.function_space.dofmap.index_map_bs
-                nodes = dofs.index_map.local_to_global(number[: total // size].astype(np.int32))
-                number = (size * nodes[:, None] + np.arange(size)).ravel()
-                total = size * dofs.index_map.size_global
-            every = [1.0 * (number == g).reshape(base.shape) for g in range(total)]
+        every = _units(thing, base)
+        if e is not None:
+            e = e.x.array if isinstance(e, fem.Function) else e
+            remedy = f"give a direction of shape {base.shape} that is not zero"
+            some = array(base.shape, remedy=remedy, holds=lambda e: any_rank(comm, e.any())[0])
+            every = iter([check(name, e, some)])
         for one in every:
             size = problem.system.facet_length if moves else largest(comm, np.where(one, base, 0.0))
             yield partial(put, one), ratio(size, largest(comm, one))
+
+
+def _units(thing: Any, base: Floats) -> Iterator[Floats]:
+    """Unit vectors of the components, of Functions of all ranks."""
+    number, total = np.arange(base.size), base.size
+    if isinstance(thing, fem.Function):
+        dofs, size = thing.function_space.dofmap, thing.function_space.dofmap.index_map_bs
+        nodes = dofs.index_map.local_to_global(number[: total // size].astype(np.int32))
+        number = (size * nodes[:, None] + np.arange(size)).ravel()
+        total = size * dofs.index_map.size_global
+    return (1.0 * (number == k).reshape(base.shape) for k in range(total))
