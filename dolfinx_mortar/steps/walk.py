@@ -123,6 +123,9 @@ class Run:
             raise ValueError(
                 "checkpoint: a file has no temperatures, so leave out heat= or checkpoint="
             )
+        for one in [] if heat is None else [i for f in heat.fields for i in f.interfaces]:
+            if None is not one.interface.owner is not problem.supports:
+                raise ValueError(f"heat: {one.interface} is of another problem: give one of this")
         remedy = "give the Constant of the laws"
         self.dt: fem.Constant | None = check_optional("dt", dt, instance(fem.Constant, remedy))
         self.walk: Walk | None = None
@@ -172,7 +175,8 @@ class Run:
                 report = self.to(level)
             raise NewtonNotConverged(
                 f"forces and temperatures do not agree after {MOST_TURNS} solutions in turn: take "
-                "smaller steps",
+                "smaller steps, and a conductance that falls with the pressure and the gap; if it "
+                "jumps where a contact opens, there may be no steady state",
                 report,
             )
 
