@@ -25,6 +25,7 @@ SAID = {  # what they print, by their last lines
     "squeeze_rubber": ("height 60%: -61.756 N/mm, exact -61.756 N/mm",),
     "close_a_gap": ("80 K:  -96.60 MPa, exact  -96.60 MPa",),
     "conduct_heat": ("left end at 400 K: 62.5",),
+    "heat_by_current": ("0.08 V: 142.1 °C, error 0.09 K",),
     "homogenise_a_cell": ("pressed along x: -34.76 MPa, -19.23 MPa", "both: -53.99 MPa"),
     "read_a_deck": ("force 210.000 N, exact 210.000 N",),
     "bounce_a_rod": ("contact lasts 2.020 L/c, exact 2",),

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Conduction across interfaces: bars in series, friction, tools, perfect contact, in time."""
 
+from dataclasses import dataclass
+
 from mpi4py import MPI
 
 import numpy as np
@@ -10,10 +12,13 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.heat import Conductance, Heat
+from dolfinx_mortar.interfaces.results import NoResult
 from tests.cases import meshes, meshes_3d
 from tests.cases.integrals import integral
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.meshes_3d import rotation
 from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.solid import hold, plane, rectangle, rollers, stand, tag_facets
 
 COMM = MPI.COMM_WORLD
 K = {LOWER: 50.0, UPPER: 20.0}
@@ -191,27 +196,274 @@ def test_a_tool_takes_heat():
     assert largest(T.x.array[side] - (200.0 - q / 40.0)) < 1e-6
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"conductivity": -1.0}, ("conductivity is -1.0",)),
-        ({"conductivity": {LOWER: 1.0}}, ("conductivity has no entry", "2")),
-        ({"capacity": np.nan}, ("capacity is nan",)),
-        ({"h": -2.0}, ("h is -2.0",)),
-        ({"h": lambda p, g: p - 1.0}, ("Tie(", "is -1 at (", "not negative")),
-        ({"share": 1.5}, ("share is 1.5",)),
-        ({"bcs": ()}, ("nothing holds the temperature",)),
-        ({"interfaces": ["tie"]}, ("interfaces[0] is 'tie'", "Conductance")),
-    ],
-)
+def test_a_prism_warms_a_cube():
+    """A transient test of CalculiX, in which .01 x 164.38 crosses .2^2 by a conductance of 3."""
+    sizes = {"lower": (0, 1, 0, 1), "upper": (0.4, 0.6, 0.4, 0.6), "heights": (1.0, 0.2)}
+    mesh, cells, tags = meshes_3d.two_boxes(COMM, (1,) * 3, (1,) * 3, cell="hexahedron", **sizes)
+    x, upper = mesh.geometry.x, np.unique(mesh.geometry.dofmap[cells.find(UPPER)])
+    x[upper, :2] = 0.5 + (x[upper, :2] - 0.5) @ rotation([0, 0, 1], np.pi / 4)[:2, :2].T
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    T, bcs = fem.Function(V), ends(V, tags, 0.0, 1000.0)
+    bcs[1].set(T.x.array)
+    joint = Conductance(dm.Tie(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER), 3.0)
+    heat, found = Heat(T, 0.01, capacity=7.8e-6, interfaces=[joint], bcs=bcs), []
+    steps = [1e-4, *(1e-4 * 1.5 ** np.arange(8))]
+    for dt in [*steps, 0.006 - sum(steps)]:
+        heat.solve(dt)
+        heat.commit()
+        found.append(T.x.array.copy())
+    for k, expected in ((0, (51.45, 66.89)), (-1, (164.38, 178.08))):
+        for tag, value in zip((TOP_OF_LOWER, BOTTOM_OF_UPPER), expected, strict=True):
+            nodes = fem.locate_dofs_topological(V, 2, tags.find(tag))
+            assert largest(found[k][nodes] - value) < 0.005
+
+
+GROWN = {
+    "plane_strain": [0.5, 1.0, 0.0],
+    "axisymmetric": [0.5, 1.0, 0.5],
+    "spatial": [0.5, 0.5, 1.0],
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("kind", GROWN)
+def test_bars_that_have_grown(kind, degree):
+    """Twice as long, 1.5 as wide: widths cancel, and radii of rings; a tool at the end."""
+    mesh, cells, tags = bars("tetrahedron" if kind == "spatial" else "quadrilateral")
+    d, h, ground = mesh.topology.dim, fem.Constant(mesh, 100.0), fem.Constant(mesh, 10.0)
+    V, W = (fem.functionspace(mesh, ("Lagrange", n, s)) for n, s in ((degree, ()), (1, (d,))))
+    how = {"kinematics": kind, "strain": "finite", "eigenstrain": np.diag(GROWN[kind])}
+    solid = dm.Solid(fem.Function(W), dm.NeoHooke(1.0, 0.0), **how)
+    end = dm.shapes.Plane([0.0] * (d - 1) + [0.2], [0.0] * (d - 1) + [-1.0])
+    tool, tie = dm.Obstacle(tags, slave=TOP, shape=end), dm.Tie(tags, **SIDES)
+    bcs = [hold(W, tags.find(BOTTOM), d - 1), *(hold(W, plane(i), i) for i in range(d - 1))]
+    dm.newton(dm.ContactProblem(solid, [tie, tool], bcs=bcs), rtol=1e-12)
+    T, joints = fem.Function(V), [Conductance(tie, h), Conductance(tool, h, h, temperature=ground)]
+    axisymmetric = kind == "axisymmetric"
+    bcs = ends(V, tags)[:1]
+    heat = Heat(T, K, cells, interfaces=joints, bcs=bcs, u=solid.u, axisymmetric=axisymmetric)
+    x, lower = V.tabulate_dof_coordinates()[:, d - 1], cells_of(V, cells, LOWER)
+    for h.value, ground.value in ((100.0, 10.0), (300.0, -50.0)):
+        heat.solve()
+        heat.commit()
+        q = (200.0 - ground.value) / (0.2 / 50.0 + 0.1 / 20.0 + 2 / h.value)
+        above = ground.value + q / h.value + q / 20.0 * 2 * (0.05 - x)
+        exact = np.where(lower, 200.0 - q / 50.0 * 2 * (x + 0.1), above)
+        assert largest(T.x.array - exact) < 1e-8
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("h", [100.0, None])
+def test_a_current_heats_bars_and_their_joint(h):
+    """Power j^2 / sigma in both, j^2 / 30 between, of which .3 enters the lower bar."""
+    mesh, cells, tags = bars("quadrilateral", partition="stripes")
+    V = fem.functionspace(mesh, ("Lagrange", 1))
+    tie, (phi, T) = dm.Tie(tags, **SIDES), (fem.Function(V) for _ in range(2))
+    (a, b), (k, m), (s, r) = (0.1, 0.05), K.values(), (2.0, 5.0)
+    joint = Conductance(tie, 30.0, share=0.3)
+    given = {"interfaces": [joint], "bcs": ends(V, tags, 7.0)}
+    current = Heat(phi, {LOWER: s, UPPER: r}, cells, **given)
+    given = {"interfaces": [Conductance(tie, h)], "bcs": ends(V, tags, 0.0), "current": current}
+    heat = Heat(T, K, cells, **given)
+    heat.solve()
+    j = 7.0 / (a / s + 1 / 30.0 + b / r)
+    # T = A (z + a) - j^2 (z + a)^2 / (2 s k) below, B (b - z) - .. above
+    low, high = j**2 / s, j**2 / r
+    power, drop = j**2 / 30.0, 0.0 if h is None else 1 / h
+    across = np.array([0.3 * power + low * a, -0.7 * power - high * b])  # less k A, plus m B
+    rows = [[a + k * drop, -b], [k, m]]
+    given = [low * a**2 / (2 * k) - high * b**2 / (2 * m) + drop * across[0], across[0] - across[1]]
+    A, B = np.linalg.solve(rows, given)
+    x = V.tabulate_dof_coordinates()[:, 1]
+    below = A * (x + a) - low / (2 * k) * (x + a) ** 2
+    above = B * (b - x) - high / (2 * m) * (b - x) ** 2
+    assert largest(T.x.array - np.where(cells_of(V, cells, LOWER), below, above)) < 1e-9 * largest(
+        T.x.array
+    )
+
+
+@pytest.mark.mpi
+def test_a_block_that_slides_fast():
+    """Wriggers and Miehe (1994), VM229 of Ansys: temperatures at rest, and all heat is friction."""
+    sizes = {"heights": (1.25, 1.25), "x_lower": (0.0, 5.0), "x_upper": (0.0, 1.25)}
+    mesh, cells, tags = meshes.two_blocks(COMM, (12, 3), (4, 3), cell="quadrilateral", **sizes)
+    V, W = (fem.functionspace(mesh, ("Lagrange", 1, shape)) for shape in ((), (2,)))
+    T, (slide, load) = fem.Function(V), (fem.Constant(mesh, 0.0) for _ in range(2))
+    solid = dm.Solid(fem.Function(W), dm.Elastic(7e4, 0.3), eigenstrain=23.86e-6 * T)
+    contact = dm.Contact(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER, friction=0.2)
+    bcs = [hold(W, tags.find(BOTTOM)), hold(W, tags.find(TOP), 0, slide)]
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)(TOP)
+    problem = dm.ContactProblem(
+        solid, [contact], bcs=bcs, loads=-load * ufl.TestFunction(W)[1] * ds
+    )
+    heat = Heat(T, 150.0, capacity=2.43, interfaces=[Conductance(contact, 0.0)], u=solid.u)
+    start, end = 1e-6, 3.75e-3
+    ramp = {load: [(0.0, 0.0), (start, 10.0), (1.0, 10.0)]}
+    ramp[slide] = [(0.0, 0.0), (start, 0.0), (end, 3.75), (1.0, 3.75)]
+    times = [start, *np.linspace(0.0, end, 9)[1:], 0.02, 0.1, 0.3, 1.0]
+    for _ in dm.load_steps(problem, times, ramp=ramp, heat=heat):
+        assert 2.43 * integral(T * ufl.dx) == pytest.approx(contact.dissipation, rel=1e-7)
+    for tag, expected in ((UPPER, 1.235), (LOWER, 0.309)):
+        assert largest(T.x.array[cells_of(V, cells, tag)] - expected) < 1e-3
+
+
+def heated_bar(gap):
+    """Return bar, tool and heat; it touches the wall, and then loses more heat than it can."""
+    domain = rectangle([(0, 0), (1, 4)], (1, 4))
+    V, tags = (
+        fem.functionspace(domain, ("Lagrange", 1)),
+        tag_facets(domain, plane(1, 4.0), plane(1)),
+    )
+    T, hot = fem.Function(V), fem.Constant(domain, 10.0)
+    wall = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 4.0 + gap), (0.0, -1.0)))
+    how = {"eigenstrain": 1e-3 * T, "kinematics": "plane_stress"}
+    problem = stand(domain, dm.Elastic(1e3, 0.0), rollers, [wall], **how)
+    bcs = [fem.dirichletbc(hot, fem.locate_dofs_topological(V, 1, tags.find(2)), V)]
+    return problem, wall, hot, Heat(T, 1.0, interfaces=[Conductance(wall, 1e6)], bcs=bcs)
+
+
+@pytest.mark.mpi
+def test_turns_that_never_agree_are_undone():
+    """Hot it closes the gap, cooled by the wall it opens it: no steady state (Barber 1978)."""
+    problem, wall, hot, heat = heated_bar(0.3)
+    (_,) = dm.load_steps(problem, [1.0], heat=heat)
+    assert largest(heat.T.x.array - 10.0) < 1e-12  # without a range
+    state = [problem.u, heat.T, problem.solid.stress, *wall.nodal.values()]
+    before = [f.x.array.copy() for f in state], wall.force.copy()
+    hot.value = 100.0
+    with pytest.raises(dm.NewtonNotConverged, match=r"do not agree after 50 .* no steady state"):
+        list(dm.load_steps(problem, [2.0], heat=heat))
+    assert all(map(np.array_equal, [f.x.array for f in state], before[0]))
+    assert np.array_equal(wall.force, before[1]) and problem.committed.level == 1.0
+    hot.value = 70.0  # 70 opens, and it is free
+    (_,) = dm.load_steps(problem, [2.0], heat=heat)
+    assert problem.u.x.array.size == 0 or largest(heat.T.x.array - 70.0) < 1e-9
+
+
+def pressed_and_heated(comm):
+    """Return force, temperatures and potential of blocks that a current heats, and friction."""
+    sizes = {"heights": (0.1, 0.05), "x_lower": (0.0, 0.04), "x_upper": (0.0, 0.03)}
+    mesh, cells, tags = meshes.two_blocks(comm, (4, 3), (5, 2), cell="triangle", **sizes)
+    V, W = (fem.functionspace(mesh, ("Lagrange", 1, shape)) for shape in ((), (2,)))
+    phi, T, down = fem.Function(V), fem.Function(V), fem.Constant(mesh, (1e-4, -1e-5))
+    solid = dm.Solid(fem.Function(W), dm.Elastic(1e5, 0.3), eigenstrain=1e-5 * T)
+    contact = dm.Contact(tags, **SIDES, friction=0.3)
+    bcs = [hold(W, tags.find(BOTTOM)), hold(W, tags.find(TOP), None, down)]
+    problem, tops = dm.ContactProblem(solid, [contact], bcs=bcs), {"u": solid.u}
+    joint = Conductance(contact, lambda p, g: 10.0 * p**0.9, share=0.2)
+    current = Heat(phi, 3.0, interfaces=[joint], bcs=ends(V, tags, 50.0), **tops)
+    given = {"capacity": 10.0, "bcs": ends(V, tags, 0.0), "current": current}
+    heat = Heat(T, K, cells, interfaces=[joint], **given, **tops)
+    (_,) = dm.load_steps(problem, [1.0], heat=heat, rtol=1e-12)
+    sums = [fem.assemble_scalar(fem.form(f**2 * ufl.dx)) for f in (T, phi)]
+    return np.array([*contact.force, *(comm.allreduce(value) for value in sums)])
+
+
+@pytest.mark.mpi
+def test_ranks_agree():
+    found, alone = pressed_and_heated(COMM), pressed_and_heated(MPI.COMM_SELF)
+    assert np.abs(alone).min() > 1e-6 and found == pytest.approx(alone, rel=1e-10)
+
+
+@dataclass(frozen=True)
+class Later:
+    """A Constant that becomes this number after everything is made."""
+
+    value: float
+
+
+def elsewhere(tags):
+    return dm.Tie(bars("triangle")[2], **SIDES)
+
+
+def unsolved(tags):
+    return dm.Contact(tags, **SIDES)
+
+
+def of_cells(V):
+    return fem.Function(fem.functionspace(V.mesh, ("DG", 0)))
+
+
+def potential(V):
+    return Heat(fem.Function(fem.functionspace(V.mesh, ("Lagrange", 2))), 1.0)
+
+
+BAD = [
+    ({"T": "hot"}, "T is 'hot'"),
+    ({"conductivity": -1.0}, "conductivity is -1.0"),
+    ({"conductivity": "steel"}, "conductivity is 'steel'"),
+    ({"conductivity": Later(np.nan)}, "conductivity is nan"),
+    ({"conductivity": {LOWER: 1.0}}, "conductivity has no entry.*2"),
+    ({"conductivity": {LOWER: 1.0, UPPER: Later(0.0)}}, r"conductivity\[2\] is 0.0.*> 0"),
+    ({"capacity": np.nan}, "capacity is nan"),
+    ({"capacity": Later(-1.0)}, "capacity is -1.0"),
+    ({"capacity": {UPPER: 1.0}}, "capacity has no entry"),
+    ({"h": -2.0}, "h is -2.0"),
+    ({"h": np.inf}, "h is inf"),
+    ({"h": Later(-2.0)}, r"Tie\(.*is -2 at \(.*not negative"),
+    ({"h": Later(np.nan)}, r"Tie\(.*is nan at \(.*finite"),
+    ({"h": lambda p, g: p - 1.0}, r"Tie\(.*is -1 at \(.*not negative"),
+    ({"h": lambda p, g: np.ones(2)}, r"values of the shape \(2,\) at"),
+    ({"h": of_cells}, "values of the shape .* at .* Function of T's space"),
+    ({"open": "air"}, "open is 'air'"),
+    ({"temperature": np.nan}, "temperature is nan"),
+    ({"share": 1.5}, "share is 1.5"),
+    ({"bcs": 0}, "nothing holds the temperature"),
+    ({"bcs": 1, "h": 0.0}, "nothing holds the temperature"),
+    ({"sources": Later(np.inf)}, "sources, loads, conditions or temperatures of tools are not fin"),
+    ({"interfaces": ["tie"]}, r"interfaces\[0\] is 'tie'.*Conductance"),
+    ({"side": elsewhere}, r"interfaces\[0\]: facet_tags.*of the same mesh"),
+    ({"side": unsolved}, r"Contact.* has no active yet"),
+    ({"current": potential}, "current is .*on T's space"),
+    ({"dt": 0.0}, "dt is 0.0"),
+]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("changes", "words"), BAD)
 def test_bad_input(changes, words):
     mesh, cells, tags = bars("triangle", partition="stripes")
-    V = fem.functionspace(mesh, ("Lagrange", 1))
-    given = {"conductivity": K, "cell_tags": cells, "bcs": ends(V, tags)} | changes
-    joint = {name: given.pop(name) for name in ("h", "share") if name in given}
-    with rejected(*words):
-        given.setdefault(
-            "interfaces", [dm.Conductance(dm.Tie(tags, **SIDES), **{"h": 1.0} | joint)]
-        )
-        dm.Heat(fem.Function(V), **given).solve()
+    V, late = fem.functionspace(mesh, ("Lagrange", 1)), []
+
+    def made(value):
+        if isinstance(value, Later):
+            late.append((fem.Constant(mesh, 1.0), value.value))
+            return late[-1][0]
+        if isinstance(value, dict):
+            return {key: made(entry) for key, entry in value.items()}
+        return value(V) if value in (of_cells, potential) else value
+
+    given = {
+        "T": fem.Function(V),
+        "conductivity": K,
+        "h": 1.0,
+        "side": lambda tags: dm.Tie(tags, **SIDES),
+    }
+    given |= {name: made(value) for name, value in changes.items()}
+    bcs, dt, side = ends(V, tags)[: given.pop("bcs", 2)], given.pop("dt", None), given.pop("side")
+    names = [name for name in ("h", "open", "share", "temperature") if name in given]
+    joint = {name: given.pop(name) for name in names}
+    with pytest.raises((ValueError, NoResult), match=words):
+        given.setdefault("interfaces", [Conductance(side(tags), **joint)])
+        heat = Heat(given.pop("T"), given.pop("conductivity"), cells, bcs=bcs, **given)
+        for constant, value in late:
+            heat.solve(1.0)
+            constant.value = value
+        heat.solve(dt)
+
+
+@pytest.mark.mpi
+def test_an_interface_of_another_problem():
+    one, other = PressedBlocks(), PressedBlocks()
+    problem, contact = one.problem([one.contact()]), other.contact()
+    other.problem([contact])
+    heat = Heat(
+        fem.Function(fem.functionspace(other.mesh, ("Lagrange", 1))),
+        1.0,
+        interfaces=[Conductance(contact, 1.0)],
+    )
+    with rejected("heat: Contact(", "another problem"):
+        list(dm.load_steps(problem, [1.0], heat=heat))

@@ -113,6 +113,12 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "heat_by_current",
+        "Current: its power heats two bodies and the contact between them.",
+        {"heat_by_current.png": "Vertical stress."},
+        example=True,
+    ),
+    Demo(
         "homogenise_a_cell",
         "A periodic cell: the mean stress of a matrix with a loose inclusion.",
         {"homogenise_a_cell.png": "Von Mises stress."},

@@ -363,7 +363,6 @@ class Eigenstrain(Followed):
         u: fem.Function,
         parts: Sequence[tuple[str, Expr, Ints]],
         degree: int,
-        *,
         finite: bool,
     ) -> None:
         """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
@@ -394,10 +393,6 @@ class Eigenstrain(Followed):
         """Inverse of `growth`."""
         f = self.function
         return ufl.inv(self.growth) if f.ufl_shape else 1 / (1 + f) * ufl.Identity(3)
-
-    def taken_from(self, measured: Expr) -> Expr:
-        """Elastic part of a strain, or F_e of F."""
-        return measured * self.inverse if self._finite else measured - self.tensor
 
     def of_whole(self, response: Response) -> Response:
         """Response to F, per volume at X, of that to F_e, per volume of the stress-free state."""
@@ -436,8 +431,8 @@ class Eigenstrain(Followed):
             apart = np.abs(e - np.swapaxes(e, 1, 2)) > HALF_OF_DIGITS * largest
             shear = (e[:, :2, 2] + e[:, 2, :2] != 0.0).any(axis=1) & (V.mesh.geometry.dim == 2)
             gone = (np.linalg.eigvalsh(e)[:, 0] <= -1.0) & self._finite
-            every = undefined, apart.any(axis=(1, 2)), shear, gone
-            counts = np.array([part.sum() for part in every], dtype=int)
+            skew = apart.any(axis=(1, 2))
+            counts = np.sum([undefined, skew, shear, gone], axis=1)
             bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
             told = {
                 "is NaN or infinite": "check what it depends on",
@@ -453,7 +448,7 @@ class Eigenstrain(Followed):
 
 
 def create_eigenstrain(
-    u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int, *, finite: bool
+    u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int, finite: bool
 ) -> Eigenstrain | None:
     """Eigenstrain given by a user, or None; collective."""
     if given is None:
@@ -471,7 +466,7 @@ def create_eigenstrain(
     for name, value, cells in of_cells:
         with raised_together(domain.comm):
             parts.append((name, _as_expression(u, name, value), cells))
-    found = Eigenstrain(u, parts, degree, finite=finite)
+    found = Eigenstrain(u, parts, degree, finite)
     found.follow()
     return found
 

@@ -136,7 +136,7 @@ class Solid(Term):
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
         check("energies", energies, FLAG)
         self.eigenstrain = create_eigenstrain(
-            u, eigenstrain, cell_tags, degree, finite=strain == "finite"
+            u, eigenstrain, cell_tags, degree, self.kinematics.finite
         )
         self.points = PointState(self.regions, degree, self.eigenstrain, energies)
         self.stress, self.volumetric = self.points.stress, volumetric
@@ -146,7 +146,9 @@ class Solid(Term):
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         eigen, measured, points = self.eigenstrain, self.kinematics.measure(u), self.points
-        seen = measured if eigen is None else eigen.taken_from(measured)
+        seen = measured
+        if eigen is not None:
+            seen = measured * eigen.inverse if finite else measured - eigen.tensor
         dilatation = create_dilatation(u, self.volumetric, integral, seen, eigen)
         if dilatation is not None and not finite:  # also pointwise laws get the deviator
             seen = ufl.dev(seen)
@@ -168,7 +170,7 @@ class Solid(Term):
             whole = with_normal(measured, normal if eigen is None else normal * eigen.growth[2, 2])
         self.volumes = Volumes(u, whole, degree) if finite else None
         self.gradients = PointGradients(
-            *(u, self.kinematics, None if eigen is None or finite else eigen.tensor, self.stress),
+            *(u, self.kinematics, None if finite else eigen, self.stress),
             small=not finite and self.kinematics.linear_in(u),
         )
         points.shown |= {} if self.volumes is None else {"J": self.volumes.J}

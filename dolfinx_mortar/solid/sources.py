@@ -287,7 +287,7 @@ class PointGradients:
         self,
         u: fem.Function,
         kinematics: Kinematics,
-        eigenstrain: Expr | None,
+        eigenstrain: Any,
         stress: fem.Function,
         *,
         small: bool,
@@ -305,7 +305,7 @@ class PointGradients:
             W = ufl.as_tensor(rows)
             parts += [ufl.transpose(H) * H / 2 for H in (strain + W, W)]
         if eigenstrain is not None:
-            parts.append(strain - eigenstrain)
+            parts.append(strain - eigenstrain.tensor)
         named = (Part("strain and rotation", stress, part) for part in parts)
         self._source = create_source(np.arange(0, dtype=np.int32), *named)
 

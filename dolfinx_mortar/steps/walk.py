@@ -105,6 +105,9 @@ class Run:
             raise ValueError(
                 "checkpoint: a file has no temperatures, so leave out heat= or checkpoint="
             )
+        for one in [] if heat is None else [i for f in heat.fields for i in f.interfaces]:
+            if None is not one.interface.owner is not problem.supports:
+                raise ValueError(f"heat: {one.interface} is of another problem: give one of this")
         remedy = "give the Constant of the laws"
         self.dt: fem.Constant | None = check_optional("dt", dt, instance(fem.Constant, remedy))
         self.walk: Walk | None = None
