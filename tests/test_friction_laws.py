@@ -13,6 +13,7 @@ from tests.cases.mortar import largest
 from tests.cases.pressed_blocks import rejected
 
 REST, SLIDING = 0.5, 0.3
+NAMES = "step_slip", "pressure", "traction"
 LIGHT = -1e-6  # of the top: so light a pressure that blocks slide as rigid ones
 
 
@@ -114,6 +115,23 @@ def test_a_coefficient_that_falls_with_the_speed():
         assert step.report.converged
         if k % 2:
             assert drag(case) == pytest.approx(law(1.0, None, speeds[k]), rel=1e-8)
+
+
+@pytest.mark.mpi
+def test_a_coefficient_that_rises_steeply_with_the_speed():
+    """Elastic blocks, whose slip falls by more than it raises the coefficient: turns are damped."""
+
+    def law(dt, p, s):
+        return 0.1 + s / (dt or 1.0)
+
+    case, dt = create_timed(law)
+    for step in slide(case, dt, [(0.0, 0.0), (0.01, 0.01)], down=-0.02, rtol=1e-7):
+        now = case.closed()
+        slips, sticks = now["status"] == 2.0, now["status"] == 1.0
+        s, p, tau = (np.linalg.norm(np.atleast_2d(now[n].T), axis=0) for n in NAMES)
+        assert len(step.parts) == 1 and slips.sum() > 2
+        assert tau[slips] == pytest.approx(law(0.01, p, s)[slips] * p[slips], rel=1e-6)
+        assert (tau[sticks] <= 0.1 * p[sticks] * (1 + 1e-6)).all()
 
 
 MU, A, B, LENGTH, V0 = 0.6, 0.01, 0.015, 1e-3, 1.0
