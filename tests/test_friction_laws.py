@@ -101,6 +101,32 @@ def test_a_step_is_repeated_from_the_last_commit(frozen):
 
 
 @pytest.mark.mpi
+def test_a_failure_leaves_the_step_before():
+    """After a step that fails in its second turn, the step before is what is committed."""
+    calls, found = [], []
+
+    def law(p, s, worn):
+        if calls and calls.pop():
+            raise RuntimeError("for the test")
+        return 0.3 / (1.0 + worn + p / 20.0), worn + p * s
+
+    for fails in (False, True):
+        case = create_pushed(friction=Coefficient(law, state={"worn": 0.0}))
+        case.solve(0.0, -0.02, rtol=1e-9)
+        case.push(0.02, -0.02)
+        dm.newton(case.problem, rtol=1e-9)
+        if fails:
+            case.push(0.05, -0.02)
+            calls[:] = [True, False]
+            with pytest.raises(RuntimeError, match="for the test"):
+                dm.newton(case.problem, rtol=1e-9)
+        case.problem.commit()
+        found.append(case.contact.gather(case.problem.u))
+    for name in ("step_slip", "worn", "coefficient"):
+        assert np.array_equal(found[0][name], found[1][name])
+
+
+@pytest.mark.mpi
 def test_a_coefficient_that_falls_with_the_speed():
     """Steady sliding at several speeds: mu_k + (mu_s - mu_k) exp(-V / V_c)."""
 
