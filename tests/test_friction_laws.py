@@ -13,6 +13,7 @@ from tests.cases.mortar import largest
 from tests.cases.pressed_blocks import rejected
 
 REST, SLIDING = 0.5, 0.3
+NAMES = "step_slip", "pressure", "traction"
 LIGHT = -1e-6  # of the top: so light a pressure that blocks slide as rigid ones
 
 
@@ -100,6 +101,32 @@ def test_a_step_is_repeated_from_the_last_commit(frozen):
 
 
 @pytest.mark.mpi
+def test_a_failure_leaves_the_step_before():
+    """After a step that fails in its second turn, the step before is what is committed."""
+    calls, found = [], []
+
+    def law(p, s, worn):
+        if calls and calls.pop():
+            raise RuntimeError("for the test")
+        return 0.3 / (1.0 + worn + p / 20.0), worn + p * s
+
+    for fails in (False, True):
+        case = create_pushed(friction=Coefficient(law, state={"worn": 0.0}))
+        case.solve(0.0, -0.02, rtol=1e-9)
+        case.push(0.02, -0.02)
+        dm.newton(case.problem, rtol=1e-9)
+        if fails:
+            case.push(0.05, -0.02)
+            calls[:] = [True, False]
+            with pytest.raises(RuntimeError, match="for the test"):
+                dm.newton(case.problem, rtol=1e-9)
+        case.problem.commit()
+        found.append(case.contact.gather(case.problem.u))
+    for name in ("step_slip", "worn", "coefficient"):
+        assert np.array_equal(found[0][name], found[1][name])
+
+
+@pytest.mark.mpi
 def test_a_coefficient_that_falls_with_the_speed():
     """Steady sliding at several speeds: mu_k + (mu_s - mu_k) exp(-V / V_c)."""
 
@@ -114,6 +141,23 @@ def test_a_coefficient_that_falls_with_the_speed():
         assert step.report.converged
         if k % 2:
             assert drag(case) == pytest.approx(law(1.0, None, speeds[k]), rel=1e-8)
+
+
+@pytest.mark.mpi
+def test_a_coefficient_that_rises_steeply_with_the_speed():
+    """Elastic blocks, whose slip falls by more than it raises the coefficient: turns are damped."""
+
+    def law(dt, p, s):
+        return 0.1 + s / (dt or 1.0)
+
+    case, dt = create_timed(law)
+    for step in slide(case, dt, [(0.0, 0.0), (0.01, 0.01)], down=-0.02, rtol=1e-7):
+        now = case.closed()
+        slips, sticks = now["status"] == 2.0, now["status"] == 1.0
+        s, p, tau = (np.linalg.norm(np.atleast_2d(now[n].T), axis=0) for n in NAMES)
+        assert len(step.parts) == 1 and slips.sum() > 2
+        assert tau[slips] == pytest.approx(law(0.01, p, s)[slips] * p[slips], rel=1e-6)
+        assert (tau[sticks] <= 0.1 * p[sticks] * (1 + 1e-6)).all()
 
 
 MU, A, B, LENGTH, V0 = 0.6, 0.01, 0.015, 1e-3, 1.0
