@@ -15,7 +15,7 @@ from dolfinx_mortar.interfaces.wear import Archard
 from dolfinx_mortar.qp import solve
 from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.pressed_blocks import rejected
-from tests.cases.two_bodies import COMM, TwoBodies
+from tests.cases.two_bodies import COMM, TwoBodies, held
 from tests.programs import from_arrays, gathered
 from tests.test_offset import scalar
 from tests.tool_case import Block
@@ -173,6 +173,37 @@ def test_a_cylinder_and_a_ball(ball, geometry):
     assert np.median(p[x[:, 0] < 0.8 * a]) == pytest.approx(mean, rel=0.03)
     known = [0.5973, 1.0623, 1.8890] if ball else [0.5313, 1.1447, 2.4662]
     assert sizes[:3] == pytest.approx(known, rel=2e-3)
+
+
+@pytest.mark.parametrize("strain", ["small", "finite"])
+def test_a_disc_on_a_block(strain):
+    """Pressed by .05 until the disc is worn by that: sum D_jj dh_j = k ds sum D_jj lambda_j.
+
+    At most six Newton iterations, whatever the length of the step.
+    """
+    mesh, bodies, sides = dm.meshing.hertz(COMM, kind="graded", h=0.2)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    law = dm.Elastic(E, NU) if strain == "small" else dm.NeoHooke(E, NU)
+    solid, path = dm.Solid(fem.Function(V), law, bodies, strain=strain), fem.Constant(mesh, 0.0)
+    contact = dm.Contact(sides, slave="arc", master="top", wear=Archard(K, slip=path))
+    bcs = [
+        held(V, sides, "bottom"),
+        held(V, sides, "flat", -0.05, 1),
+        held(V, sides, "flat", 0.0, 0),
+    ]
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    h = 0.0
+    for ds in (0.0, 10.0, 100.0, 1000.0):
+        path.value += ds
+        report = dm.newton(problem, rtol=1e-9)
+        problem.commit()
+        link, before, h = problem.system.link(contact), h, contact.wear_depth.x.array.copy()
+        weights = link.coupling.weight[:, 0]
+        local = weights @ (h - before)[link.nodes], ds * K * (weights @ contact.multiplier)
+        volume, expected = COMM.allreduce(np.array(local))
+        assert volume == pytest.approx(expected, rel=1e-10) and report.newton_iterations <= 6
+    deepest = COMM.allreduce(h.max(), op=max)
+    assert deepest == pytest.approx(0.05, rel=1e-3) and abs(contact.force[1]) < 1.0
 
 
 def test_depth_stays_where_it_was_worn():
