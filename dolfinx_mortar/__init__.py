@@ -17,6 +17,7 @@ from dolfinx_mortar import materials, shapes
 from dolfinx_mortar.audit.pairs import find_pairs
 from dolfinx_mortar.common.step_report import Ledger, LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.common.tags import Tags
+from dolfinx_mortar.heat import Conductance, Heat
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
 from dolfinx_mortar.interfaces.rigid_side import RigidSide
@@ -53,11 +54,13 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "Conductance",
     "Contact",
     "ContactProblem",
     "Damping",
     "DruckerPrager",
     "Elastic",
+    "Heat",
     "Inertia",
     "Ledger",
     "LoadStep",

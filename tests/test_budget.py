@@ -19,14 +19,14 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 140,
-    "tokens of code": 278_909,
-    "words of prose": 52_288,
-    "words of strings": 12_763,
+    "files": 142,
+    "tokens of code": 283_828,
+    "words of prose": 53_335,
+    "words of strings": 12_991,
 }
-TOKENS_OF_TESTS = 301_630
-PUBLIC_NAMES = 43
-WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_452}
+TOKENS_OF_TESTS = 307_559
+PUBLIC_NAMES = 45
+WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_495}
 SIMPLEST_STEP = {"files": 68, "functions": 658, "lines": 6_841}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),

@@ -136,10 +136,11 @@ def test_a_zero_of_another_degree_is_no_negative_limit(monkeypatch):
     given = fem.Function(linear)
     given.interpolate(lambda x: np.where(x[0] < 0.5, -1e-16, 0.3 + x[1]))
     law = FrictionLaw("friction", given)
-    assert law.values(linear).min(initial=0.0) == 0.0
+    at = {"pressure": fem.Function(linear)}
+    assert law.values(at).min(initial=0.0) == 0.0
     monkeypatch.setattr(constraints, "ROUND_OFF", 0.0)
     with rejected("friction", "finite and >= 0"):
-        law.values(linear)
+        law.values(at)
 
 
 def test_results_without_friction(case):

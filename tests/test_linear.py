@@ -73,8 +73,8 @@ def test_held_unknowns_keep_their_values(qp):
 
 @pytest.mark.mpi
 def test_forces_whose_squares_underflow_are_zero(qp):
-    """Conjugate gradients cannot reduce them: with three ranks 1e-161 was left of no load at all."""
-    linear = LinearSolver(COMM, prefix="underflow_", options={"ksp_type": "cg", "pc_type": "jacobi"})
+    """Conjugate gradients cannot reduce them: three ranks left 1e-161 of no load at all."""
+    linear = LinearSolver(COMM, prefix="tiny_", options={"ksp_type": "cg", "pc_type": "jacobi"})
     linear.set_matrix(qp.A)
     linear.solve(0.0 * qp.b, 1e-158 * qp.b, none(), atol=0.0)
     assert linear.counts.iterations == 0

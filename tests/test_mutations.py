@@ -123,7 +123,7 @@ FAULTS = [
     ),
     (
         "qp/linear",
-        "if round_off <= QUARTER_OF_DIGITS * force or force == 0.0:",
+        "if round_off <= max(QUARTER_OF_DIGITS * force, UNDERFLOW):",
         "if True:",
         "test_linear",
     ),

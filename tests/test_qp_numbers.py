@@ -30,14 +30,14 @@ def modules():
 
 
 def test_the_numbers_are_all_known():
-    """EPS, TINY and what is no length, rate or count aside."""
+    """EPS, TINY, UNDERFLOW and what is no length, rate or count aside."""
     names = {
         name
         for module in modules()
         for name, value in vars(module).items()
         if name.isupper() and (isinstance(value, (int, float)) or is_table(value))
     }
-    elsewhere = {"EPS", "TINY", "SAME", "MOST_FACTORISED", "RESOLVED"}
+    elsewhere = {"EPS", "TINY", "UNDERFLOW", "SAME", "MOST_FACTORISED", "RESOLVED"}
     assert names - {"LOOSE", "TIGHT", "OUT_OF_MEMORY"} - elsewhere == set(NUMBERS)
 
 

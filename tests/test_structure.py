@@ -41,9 +41,10 @@ BELOW = {
         *("common", "algebra", "geometry", "mortar", "interfaces", "materials", "solid"),
         *("audit", "persistence", "problem"),
     },
+    "heat": {"common", "algebra", "interfaces", "mortar", "solid"},
     "steps": {
         *("common", "algebra", "mortar", "interfaces", "solid", "terms", "qp"),
-        *("audit", "persistence", "problem", "report"),
+        *("audit", "persistence", "problem", "report", "heat"),
     },
 }
 FLOORS = 8

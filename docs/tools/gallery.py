@@ -107,6 +107,18 @@ EXAMPLES = [
         example=True,
     ),
     Demo(
+        "conduct_heat",
+        "Heat: a bar touches a cold wall, to which its pressure lets heat flow.",
+        {"conduct_heat.png": "Horizontal displacement, 100 times enlarged."},
+        example=True,
+    ),
+    Demo(
+        "homogenise_a_cell",
+        "A periodic cell: the mean stress of a matrix with a loose inclusion.",
+        {"homogenise_a_cell.png": "Von Mises stress."},
+        example=True,
+    ),
+    Demo(
         "bounce_a_rod",
         "Dynamics: a rod hits a wall, for the time of a wave.",
         {"bounce_a_rod.png": "Force over time."},

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
@@ -12,9 +12,10 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
-from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, check, is_number
+from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
 from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.common.spaces import check_nodal, check_real
+from ufl.core.expr import Expr
 
 
 @dataclass(frozen=True)
@@ -184,9 +185,10 @@ def present_force(name: str, given: Any) -> float:
     return force
 
 
-Limit: TypeAlias = float | fem.Constant | fem.Function
+Limit: TypeAlias = float | fem.Constant | fem.Function | Callable[[Floats, Floats], Any]
+"""A number, a Constant, a Function, or a function of pressures and slips (n,) of the last step."""
 
-REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
+REMEDY = "give a number, a scalar Constant, a scalar Lagrange Function, or a function of p and s"
 
 
 @dataclass(frozen=True)
@@ -204,36 +206,51 @@ class FrictionLaw:
         """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
-    def values(self, scalar: fem.FunctionSpace) -> Floats:
-        """Values at the owned nodes; a ValueError for negative or non-finite ones; collective."""
+    def values(self, results: Mapping[str, fem.Function]) -> Floats:
+        """Values at the owned nodes, by the results of the last step; collective.
+
+        Raises:
+            ValueError: on all ranks, for negative or non-finite values.
+        """
+        scalar = results["pressure"].function_space
         n = scalar.dofmap.index_map.size_local
-        return values_at_nodes(self.name, self.value, scalar, signed=False)[:n]
+        if isinstance(self.value, float | fem.Constant | fem.Function):
+            return values_at_nodes(self.name, self.value, scalar, signed=False)[:n]
+        slip = results["step_slip"].x.array.reshape(-1, scalar.mesh.geometry.dim)[:n]
+        p, s = np.array(results["pressure"].x.array[:n]), np.linalg.norm(slip, axis=1)
+        with raised_together(scalar.mesh.comm):
+            found = self.value(p, s)
+            rule = array((), (n,), finite=False, remedy="return a coefficient or (n,) of them")
+            values = np.broadcast_to(check(f"{self.name}(p, s)", found, rule), (n,)).copy()
+        return _checked(self.name, values, scalar, signed=False)
 
 
-def values_at_nodes(
-    name: str, value: Limit, scalar: fem.FunctionSpace, *, signed: bool = True
-) -> Floats:
+def values_at_nodes(name: str, value: Any, scalar: fem.FunctionSpace, *, signed: bool) -> Floats:
     """Values at the local nodes; a ValueError for non-finite or negative ones; collective."""
-    comm = scalar.mesh.comm
+    nodes = scalar.dofmap.index_map
     if isinstance(value, fem.Function):
         value.x.scatter_forward()  # ghosts may be set
         at_nodes = fem.Function(scalar)
         at_nodes.interpolate(value)
         values = np.array(at_nodes.x.array, dtype=np.float64)
-        largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+        largest = maximum(scalar.mesh.comm, np.abs(values).max(initial=0.0))[0]
         # round-off of zeros
         none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
         values[none & (not signed)] = 0.0
     else:
-        number = float(np.asarray(getattr(value, "value", value)).reshape(()))
-        nodes = scalar.dofmap.index_map
+        number = float(getattr(value, "value", value))
         values = np.full(nodes.size_local + nodes.num_ghosts, number)
-    bad = ~(np.isfinite(values) & ((values >= 0.0) | signed))
-    with raised_together(comm):
-        if bad.any():
+    return _checked(name, values, scalar, signed=signed)
+
+
+def _checked(name: str, values: Floats, scalar: fem.FunctionSpace, *, signed: bool) -> Floats:
+    bad = np.flatnonzero(~(np.isfinite(values) & ((values >= 0.0) | signed)))
+    with raised_together(scalar.mesh.comm):
+        if len(bad):
+            at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
+            rule = "finite" if signed else "finite and >= 0"
             raise ValueError(
-                f"{name} is {values[bad][0]:g} somewhere: every value has to be finite"
-                + ("" if signed else " and >= 0")
+                f"{name} is {values[bad[0]]:g} at ({at}): every value has to be {rule}"
             )
     return values
 
@@ -251,7 +268,8 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if isinstance(value, Real) and not isinstance(value, bool):
         limit = check(name, value, NOT_NEGATIVE)
         return FrictionLaw(name, limit) if limit > 0.0 else None
-    return FrictionLaw(name, check_field(name, value))
+    by_function = callable(value) and not isinstance(value, fem.Function | fem.Constant | Expr)
+    return FrictionLaw(name, value if by_function else check_field(name, value))
 
 
 def check_field(name: str, value: Any) -> Limit:

@@ -298,8 +298,9 @@ class Contact(Unilateral, MortarInterface):
             Phi_j (h_s + h_m) with the heights h of `dolfinx_mortar.geometry.curvature`; "facets"
             between the facets, as the paper.
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
-        friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
-            Function on this mesh, read at every step.
+        friction: Coulomb's coefficient mu: a number, a scalar Constant, a scalar Lagrange Function
+            on this mesh, or a function of the pressures and slips (n,) of the last step; read at
+            every step.
         tresca: limit of the tangential traction instead, at every slave node that faces the master;
             a step is then a convex minimisation. In axisymmetry per circumference at X for small
             strains.

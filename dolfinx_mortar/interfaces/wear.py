@@ -106,7 +106,9 @@ class Wearing(Interface):
         """Offset and depth of wear (n,), or None; a ValueError for NaN and infinity; collective."""
         found = None
         if self.offset is not None:
-            found = values_at_nodes("offset", self.offset, self.gap.function_space)[nodes]
+            found = values_at_nodes("offset", self.offset, self.gap.function_space, signed=True)[
+                nodes
+            ]
         if self.wear is not None:
             found = self.wear_depth.x.array[nodes] + (0.0 if found is None else found)
         return found

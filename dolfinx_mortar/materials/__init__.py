@@ -3,6 +3,7 @@
 
 from typing import Any
 
+from dolfinx_mortar.materials.creep import Norton, Viscoelastic
 from dolfinx_mortar.materials.elastic import Elastic, MooneyRivlin, NeoHooke, Ogden, Orthotropic
 from dolfinx_mortar.materials.plasticity import DruckerPrager, VonMises, VonMisesVoce
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
@@ -13,9 +14,11 @@ __all__ = [
     "Material",
     "MooneyRivlin",
     "NeoHooke",
+    "Norton",
     "Ogden",
     "Orthotropic",
     "PointwiseLaw",
+    "Viscoelastic",
     "VonMises",
     "VonMisesVoce",
     "check",

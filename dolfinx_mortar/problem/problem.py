@@ -213,8 +213,8 @@ class ContactProblem:
             if contact.wear is not None:
                 contact.wear_by(np.zeros(0), np.zeros(0, dtype=np.int32))
         if self.system.has_friction:
-            laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
-            limits = [None if law is None else law.values(scalar) for law, scalar in laws]
+            laws = [(one.law, one.nodal) for one in self.interfaces]
+            limits = [None if law is None else law.values(results) for law, results in laws]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),

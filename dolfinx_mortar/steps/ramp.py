@@ -86,8 +86,8 @@ def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
     return numbers if np.isfinite(numbers).all() else None
 
 
-def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
-    """A note for each table whose Constant no part of a problem reads, by the addresses of values.
+def notes_on_unread(given: Mapping[str, Any], read: Sequence[Any] | None) -> list[str]:
+    """A note for each Constant that a run sets and nothing reads, by the addresses of values.
 
     `read` are the Constants that steps read, None if unknown.
     """
@@ -95,11 +95,11 @@ def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[s
         return []
     places = {_place(constant) for constant in read}
     return [
-        f"ramp: table {k} is for a Constant that nothing in the problem reads, so that it loads "
+        f"{name} is for a Constant that nothing in the problem reads, so that it changes "
         "nothing: give the Constant itself to the form, law or condition, "
         "dirichletbc(push, ..) and not dirichletbc(push.value, ..), which copies its value"
-        for k, ramp in enumerate(ramps, start=1)
-        if _place(ramp.constant) not in places
+        for name, constant in given.items()
+        if _place(constant) not in places
     ]
 
 

@@ -17,6 +17,7 @@ from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import check, number, one_of
 from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Floats
 from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.heat import Heat
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.steps.energy_ledger import EnergyLedger
@@ -153,6 +154,8 @@ def time_steps(
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
+    heat: Heat | None = None,
+    dt: fem.Constant | None = None,
 ) -> Iterator[LoadStep]:
     """Step through time: set the loads, solve, commit, yield; collective.
 
@@ -186,6 +189,7 @@ def time_steps(
         cuts, max_cuts, progress, every: as in `load_steps`. A step is also cut where bodies would
             pass through each other.
         checkpoint: as in `load_steps`, with velocities and accelerations.
+        heat, dt: as in `load_steps`.
 
     Yields:
         One ``LoadStep`` for every time, or remaining time of a continued run, with the `Ledger` of
@@ -196,7 +200,7 @@ def time_steps(
             `load_steps`.
         OSError, NewtonNotConverged: as `load_steps`.
     """
-    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
+    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every, heat, dt
     run = TimeRun(problem, *given, qp=qp, rtol=rtol, max_it=max_it)
     check_same_on_all_ranks(problem.comm, scheme=scheme, spectral_radius=spectral_radius)
     history, done = problem.history, 0

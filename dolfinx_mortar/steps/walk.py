@@ -16,9 +16,10 @@ from collections.abc import (
     Iterator,
     Mapping,
 )
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
@@ -31,6 +32,7 @@ from dolfinx_mortar.common.agreement import check_same_on_all_ranks, find_consta
 from dolfinx_mortar.common.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.common.arrays import SAME
 from dolfinx_mortar.common.step_report import LoadStep, NewtonNotConverged, StepReport
+from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.persistence.checkpoints import check_folder, read
 from dolfinx_mortar.persistence.committed import Walk
@@ -42,6 +44,24 @@ from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.ramp import check_range, difference, notes_on_unread, read_ramps
 
 log = logging.getLogger(__name__)
+
+MOST_TURNS = 50  # solutions of a step and its fields in turn; a conductance that opens takes 20
+
+
+class Field(Protocol):
+    """Unknowns that are solved in turn with a step, such as temperatures."""
+
+    given: Any
+    """Constants and other data that they read."""
+
+    def solve(self, dt: float | None) -> float:
+        """Solve with the step's results; return the change over the range; collective."""
+
+    def commit(self) -> None:
+        """Make this the start of the next step."""
+
+    def undone(self) -> AbstractContextManager[None]:
+        """Return to the start of the step if the block fails."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +102,8 @@ class Run:
         progress: bool | None,
         checkpoint: Any,
         every: Any,
+        heat: Any,
+        dt: Any,
         **newton: Any,
     ) -> None:
         """Check the arguments, see `load_steps`; collective."""
@@ -96,6 +118,13 @@ class Run:
         )
         self.most = max_cuts * (cuts == "halve")  # halvings of a step
         self.file = check_every(problem.comm, checkpoint, every)
+        self.fields: list[Field] = [] if check_optional("heat", heat, HEAT) is None else [heat]
+        if self.fields and self.file is not None:
+            raise ValueError(
+                "checkpoint: a file has no temperatures, so leave out heat= or checkpoint="
+            )
+        remedy = "give the Constant of the laws"
+        self.dt: fem.Constant | None = check_optional("dt", dt, instance(fem.Constant, remedy))
         self.walk: Walk | None = None
         self.new = False  # whether the committed state is not in the file
 
@@ -115,7 +144,7 @@ class Run:
 
     def may_cut(self) -> bool:
         """Whether a part is another problem than the step."""
-        return bool(self.ramps) or self.on_time is not None
+        return bool(self.ramps) or self.on_time is not None or self.dt is not None
 
     def settings(self) -> dict[str, Any]:
         """Settings that change results, as JSON values."""
@@ -123,7 +152,29 @@ class Run:
 
     def to(self, level: Level) -> StepReport:
         """Solve a step to a level; collective."""
+        if self.dt is not None:
+            self.dt.value = level.time - self.problem.committed.level
         return solve_step(self.problem, overlap=level.overlap, level=level.time, **self.newton)
+
+    def in_turn(self, level: Level) -> StepReport:
+        """Solve a step in turn with its fields until all agree; collective."""
+        report = self.to(level)
+        if not self.fields:
+            return report
+        assert self.problem.outcome is not None and self.problem.outcome.before is not None
+        with self.problem.undone(self.problem.outcome.before), ExitStack() as undone:
+            for field in self.fields:
+                undone.enter_context(field.undone())
+            dt = abs(level.time - self.problem.committed.level) or None
+            for _ in range(MOST_TURNS):
+                if max(field.solve(dt) for field in self.fields) <= self.newton["rtol"]:
+                    return report
+                report = self.to(level)
+            raise NewtonNotConverged(
+                f"forces and temperatures do not agree after {MOST_TURNS} solutions in turn: take "
+                "smaller steps",
+                report,
+            )
 
     def commit(self, report: StepReport) -> None:
         """Commit a converged step; collective."""
@@ -145,8 +196,10 @@ class Run:
             start = self._continue(self.file, start)
         committed.walk = self.walk = Walk(start, [one.rows for one in self.ramps], settings)
         done = committed.walked  # of the checkpoint, if any
-        used = find_constants(problem.inputs)
-        idle = [] if self.on_time else notes_on_unread(self.ramps, used)
+        used = find_constants([problem.inputs, [field.given for field in self.fields]])
+        tables = {f"ramp: table {k}": one.constant for k, one in enumerate(self.ramps, start=1)}
+        tables |= {} if self.dt is None else {"dt": self.dt}
+        idle = [] if self.on_time else notes_on_unread(tables, used)
         for note in idle if problem.comm.rank == 0 else ():
             log.warning("%s", note)
         quiet = self.progress is None and len(levels) == 1
@@ -215,7 +268,7 @@ class Run:
             self.load(level.time)
             self._check_alone()
             try:
-                report = self.to(level)
+                report = self.in_turn(level)
             except NewtonNotConverged as error:
                 failures += 1
                 if not parts:
@@ -244,6 +297,8 @@ class Run:
             assert problem.outcome is not None and problem.outcome.before is not None
             with problem.undone(problem.outcome.before):
                 self.commit(report)
+                for field in self.fields:
+                    field.commit()
                 if not pending:
                     step = _book(problem, number, time, parts, failures)
             self.new, reached = True, level
@@ -343,6 +398,8 @@ def load_steps(
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
+    heat: Heat | None = None,
+    dt: fem.Constant | None = None,
 ) -> Iterator[LoadStep]:
     """Step through load levels: set the loads, solve, commit, yield; collective.
 
@@ -371,6 +428,10 @@ def load_steps(
             and logging is not configured, except in notebooks. The log has the lines at level INFO.
         checkpoint: file, see below; each run needs its own.
         every: write it after so many steps, and after the last one.
+        heat: temperature that is solved in turn with the step, until its changes are rtol times its
+            range; levels are times then. Not in checkpoints.
+        dt: Constant of laws of time, such as `Norton`, set to the length of each step between
+            levels, of parts of steps too.
 
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
     exists, its state is restored, the loads are set, and only the remaining steps are made and
@@ -389,7 +450,7 @@ def load_steps(
             error is the ``__context__``.
         NewtonNotConverged: if the smallest step fails, too; the converged parts are committed.
     """
-    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every
+    given = times, ramp, on_time, start, cuts, max_cuts, progress, checkpoint, every, heat, dt
     run = Run(problem, *given, qp=qp, rtol=rtol, max_it=max_it)
     if problem.in_time:
         raise ValueError(
