@@ -10,12 +10,14 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import create_unit_square
 from dolfinx_mortar.interfaces.wear import Archard
 from dolfinx_mortar.qp import solve
 from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.pressed_blocks import rejected
-from tests.cases.two_bodies import COMM, TwoBodies
+from tests.cases.two_bodies import COMM, TwoBodies, held
 from tests.programs import from_arrays, gathered
+from tests.test_offset import scalar
 from tests.tool_case import Block
 
 pytestmark = pytest.mark.mpi
@@ -127,8 +129,7 @@ R, K, F, E, NU = 10.0, 1e-5, 100.0, 200e3, 0.3
 def worn(ball, geometry, paths):
     """Press a cylinder or a ball by F on a hard flat; yield path, results, volumes, and sizes."""
     case = Block(n=48, size=10.0, fine=2.5 if ball else 4.0)
-    profile = fem.Function(fem.functionspace(case.mesh, ("Lagrange", 1)))
-    profile.interpolate(lambda x: x[0] ** 2 / (2.0 * R))
+    profile = scalar(case.mesh, 1, lambda x: x[0] ** 2 / (2.0 * R))
     path, force = fem.Constant(case.mesh, 0.0), F if ball else F / 2.0
     flat = dm.shapes.Plane([0.0, 0.0], [0.0, -1.0])
     given = {"load": {"y": -force}, "wear": Archard(K, slip=path), "offset": profile}
@@ -172,6 +173,37 @@ def test_a_cylinder_and_a_ball(ball, geometry):
     assert np.median(p[x[:, 0] < 0.8 * a]) == pytest.approx(mean, rel=0.03)
     known = [0.5973, 1.0623, 1.8890] if ball else [0.5313, 1.1447, 2.4662]
     assert sizes[:3] == pytest.approx(known, rel=2e-3)
+
+
+@pytest.mark.parametrize("strain", ["small", "finite"])
+def test_a_disc_on_a_block(strain):
+    """Pressed by .05 until the disc is worn by that: sum D_jj dh_j = k ds sum D_jj lambda_j.
+
+    At most six Newton iterations, whatever the length of the step.
+    """
+    mesh, bodies, sides = dm.meshing.hertz(COMM, kind="graded", h=0.2)
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    law = dm.Elastic(E, NU) if strain == "small" else dm.NeoHooke(E, NU)
+    solid, path = dm.Solid(fem.Function(V), law, bodies, strain=strain), fem.Constant(mesh, 0.0)
+    contact = dm.Contact(sides, slave="arc", master="top", wear=Archard(K, slip=path))
+    bcs = [
+        held(V, sides, "bottom"),
+        held(V, sides, "flat", -0.05, 1),
+        held(V, sides, "flat", 0.0, 0),
+    ]
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    h = 0.0
+    for ds in (0.0, 10.0, 100.0, 1000.0):
+        path.value += ds
+        report = dm.newton(problem, rtol=1e-9)
+        problem.commit()
+        link, before, h = problem.system.link(contact), h, contact.wear_depth.x.array.copy()
+        weights = link.coupling.weight[:, 0]
+        local = weights @ (h - before)[link.nodes], ds * K * (weights @ contact.multiplier)
+        volume, expected = COMM.allreduce(np.array(local))
+        assert volume == pytest.approx(expected, rel=1e-10) and report.newton_iterations <= 6
+    deepest = COMM.allreduce(h.max(), op=max)
+    assert deepest == pytest.approx(0.05, rel=1e-3) and abs(contact.force[1]) < 1.0
 
 
 def test_depth_stays_where_it_was_worn():
@@ -243,6 +275,22 @@ def test_explicit_wear():
         ends.append(case.gather("wear_depth")[0])
     mine, fine, own, other = ends
     assert abs(fine - other) == pytest.approx(0.5 * abs(mine - own), rel=0.1)
+
+
+def test_explicit_steps_below_the_bound_are_steady():
+    """At 1.7 of 2: the pressure in the middle falls from step to step (beyond 3 it alternates)."""
+    case = Block(n=32, size=10.0, fine=2.0)
+    path, profile = fem.Constant(case.mesh, 0.0), scalar(case.mesh, 1, lambda x: x[0] ** 2 / 20.0)
+    wear, flat = Archard(1e-5, slip=path, implicit=False), dm.shapes.Plane([0.0, 0.0], [0.0, -1.0])
+    tool = case.tool(flat, load={"y": -500.0}, offset=profile, wear=wear)
+    problem, peaks = case.problem([tool], dm.Elastic(E, NU), geometry="reference"), []
+    for _ in range(25):
+        dm.newton(problem, rtol=1e-8)
+        problem.commit()
+        path.value += 0.03
+        peaks.append(tool.gather(case.u)["pressure"][0])
+    change = np.diff(peaks)[1:]  # after the first step, without wear
+    assert (change < 0.0).all() and change[-1] > 0.1 * change.min()
 
 
 def test_long_steps_are_cut():
@@ -317,6 +365,10 @@ def test_what_is_no_wear(given, words):
 def test_wear_is_a_law():
     with rejected("wear is 0.1", "Archard"):
         TwoBodies().interface(wear=0.1)
+    with rejected("wear: k", "another mesh"):
+        Blocks(scalar(create_unit_square(COMM, 2, 2)))
+    with rejected("wear_depth", "give wear=", error=AttributeError):
+        _ = TwoBodies().interface().wear_depth
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.common.arguments import (
-    FLAG,
-    NOT_NEGATIVE,
-    POSITIVE,
-    Rule,
-    check,
-    check_optional,
-    instance,
-)
+from dolfinx_mortar.common import arguments
+from dolfinx_mortar.common.arguments import check, check_optional
 from dolfinx_mortar.common.arrays import Floats, Ints
 from dolfinx_mortar.interfaces.constraints import (
     FORCE,
@@ -28,8 +21,9 @@ from dolfinx_mortar.interfaces.constraints import (
     values_at_nodes,
 )
 from dolfinx_mortar.interfaces.interface import Interface
+from dolfinx_mortar.interfaces.results import NoResult
 
-PATH: Rule[Any] = Rule(
+PATH: arguments.Rule[Any] = arguments.Rule(
     "give a scalar Constant, the length of the path so far, to be set in every step",
     lambda value: FORCE.read(value) if isinstance(value, fem.Constant) else None,
 )
@@ -41,7 +35,8 @@ class Archard:
 
     p is the pressure at the end of the step, ds the distance that the sides slide in it. Implicit
     wear is part of the step, for any k ds: gap + k ds p >= 0, p >= 0 and one of them is 0. Explicit
-    wear follows at the commit; it is stable for k ds K_jj / D_jj < 2, about k ds E < 2 facets.
+    wear follows at the commit; it is stable for k ds K_jj / D_jj < 2, about k ds E < 2 facets, with
+    the stiffness K_jj of a node: a longer step fails.
 
     Args:
         k: wear per pressure and length, >= 0 (1/pressure): a number, a scalar Constant, or a scalar
@@ -64,10 +59,10 @@ class Archard:
 
     def __post_init__(self) -> None:
         if not isinstance(check_field("wear: k", self.k), fem.Constant | fem.Function):
-            check("wear: k", self.k, NOT_NEGATIVE)
+            check("wear: k", self.k, arguments.NOT_NEGATIVE)
         check_optional("wear: slip", self.slip, PATH)
-        check("wear: implicit", self.implicit, FLAG)
-        check_optional("wear: most", self.most, POSITIVE)
+        check("wear: implicit", self.implicit, arguments.FLAG)
+        check_optional("wear: most", self.most, arguments.POSITIVE)
 
     @property
     def path(self) -> float:
@@ -85,7 +80,7 @@ class Wearing(Interface):
     def set_offset(self, offset: Any, wear: Any) -> None:
         """Check and set both; a ValueError for own slips without friction."""
         self.offset = None if offset is None else check_field("offset", offset)
-        law = instance(Archard, "give a dolfinx_mortar.interfaces.wear.Archard(k)")
+        law = arguments.instance(Archard, "give a dolfinx_mortar.interfaces.wear.Archard(k)")
         self.wear = check_optional("wear", wear, law)
         if self.wear is not None and self.wear.slip is None and self.law is None:
             raise ValueError(
@@ -105,13 +100,17 @@ class Wearing(Interface):
     @property
     def wear_depth(self) -> fem.Function:
         """Depth of wear of the slave side, part of the gap."""
+        if self.wear is None:
+            raise NoResult(self, "wear_depth", "it has no wear: give wear=")
         return self._function("wear_depth")
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
         """Offset and depth of wear (n,), or None; a ValueError for NaN and infinity; collective."""
         found = None
         if self.offset is not None:
-            found = values_at_nodes("offset", self.offset, self.gap.function_space)[nodes]
+            found = values_at_nodes("offset", self.offset, self.gap.function_space, signed=True)[
+                nodes
+            ]
         if self.wear is not None:
             found = self.wear_depth.x.array[nodes] + (0.0 if found is None else found)
         return found

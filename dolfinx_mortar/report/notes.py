@@ -131,7 +131,10 @@ def note_pressures(end: StepEnd) -> list[str]:
     """Notes on the resolution of pressures."""
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
-    stiffness[end.balance.nodes] = end.stiffness.array_r[end.balance.bounds.dofs]
+    against = end.stiffness.array_r[end.balance.bounds.dofs]
+    if (give := end.balance.give) is not None:  # wear levels errors of gaps
+        against = against / (1.0 + give * against)
+    stiffness[end.balance.nodes] = against
     forces[forces <= np.maximum(end.residual.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     notes, few = list[str](), list[str]()
     for link in end.problem.system.unilateral:

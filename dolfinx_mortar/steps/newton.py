@@ -151,7 +151,8 @@ def in_turn(
             report = solve()
         raise NewtonNotConverged(
             f"forces, temperatures and friction do not agree after {MOST_TURNS} solutions in turn: "
-            "take smaller steps, or frozen coefficients",
+            "take smaller steps, frozen coefficients, and conductances that change steadily: one "
+            "that jumps where a contact opens may have no steady state",
             report,
         )
 
