@@ -71,6 +71,7 @@ OTHERS = {
     "steps.newton",
     "steps.energy_ledger",  # in test_dynamics
     "persistence.checkpoints",  # in those of checkpoints
+    "materials.creep",  # in test_creep, which three rounds fail
     "materials.logarithmic",  # in test_logarithmic_laws
     "materials.logarithms",
 }
