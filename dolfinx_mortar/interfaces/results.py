@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from mpi4py import MPI
@@ -60,7 +59,7 @@ class Results:
     resultants: Resultants | None = None
     dissipated: float = 0.0
     turns: Relaxed | None = None
-    ended: Mapping[str, Floats] = MappingProxyType({})
+    ended: Mapping[str, Floats] | None = None
 
     def __init__(self) -> None:
         self.nodal: dict[str, fem.Function] = {}
@@ -91,9 +90,9 @@ class Results:
 
     def commit(self) -> None:
         """Let the next step begin with the coefficient and states that have ended; collective."""
-        for name, values in self.ended.items():
+        for name, values in (self.ended or {}).items():
             set_owned(self.nodal[name], values)
-        self.ended = {}
+        self.ended = None
 
     def clear(self) -> None:
         """Remove the results; without communication."""

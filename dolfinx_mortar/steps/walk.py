@@ -141,11 +141,6 @@ class Run:
             self.dt.value = level.time - self.problem.committed.level
         return solve_step(self.problem, overlap=level.overlap, level=level.time, **self.newton)
 
-    def in_turn(self, level: Level) -> StepReport:
-        """Solve a step in turn with its fields until all agree; collective."""
-        solve = partial(self.to, level)
-        return in_turn(self.problem, self.fields, solve, level.time, self.newton["rtol"])
-
     def commit(self, report: StepReport) -> None:
         """Commit a converged step; collective."""
         self.problem.commit()
@@ -238,7 +233,8 @@ class Run:
             self.load(level.time)
             self._check_alone()
             try:
-                report = self.in_turn(level)
+                solve = partial(self.to, level)
+                report = in_turn(problem, self.fields, solve, level.time, self.newton["rtol"])
             except NewtonNotConverged as error:
                 failures += 1
                 if not parts:
