@@ -101,7 +101,7 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
     check_problem(problem, ContactProblem)
     check_owned(problem.interfaces, problem.supports)
     step, system, parts = _Step(problem, of, to), problem.system, vars(problem).copy()
-    before = Before(problem.state, problem.outcome)
+    before, K = Before(problem.state, problem.outcome), problem.K.copy()
     problem.linear = copy(problem.linear)
     problem.linear.abandon()
     try:
@@ -110,6 +110,7 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
                 return step.solve()
             finally:
                 vars(problem).update(parts)
+                K.copy(problem.K)
                 problem.undo(before)
     finally:
         problem.terms.begin(problem.committed.level, step.level)

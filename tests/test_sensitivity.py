@@ -254,10 +254,10 @@ def test_nothing_is_changed(name):
     for ask in (False, True):
         problem, of, to = CASES[name]()
         dm.newton(problem)
-        before = state(problem)
+        before, K = state(problem), problem.K.copy()
         if ask:
             dm.sensitivity(problem, of=[of], to=to)
-        assert all(map(same, state(problem), before))
+        assert all(map(same, state(problem), before)) and K.equal(problem.K)
         problem.commit()
         move(to[0], 0.01 * size(to[0]))
         dm.newton(problem)
