@@ -101,7 +101,7 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
     check_problem(problem, ContactProblem)
     check_owned(problem.interfaces, problem.supports)
     step, system, parts = _Step(problem, of, to), problem.system, vars(problem).copy()
-    before = Before(problem.state, problem.outcome)
+    before, K = Before(problem.state, problem.outcome), problem.K.copy()
     problem.linear = copy(problem.linear)
     problem.linear.abandon()
     try:
@@ -110,6 +110,7 @@ def sensitivity(problem: ContactProblem, *, of: Sequence[Any], to: Any) -> Sensi
                 return step.solve()
             finally:
                 vars(problem).update(parts)
+                K.copy(problem.K)
                 problem.undo(before)
     finally:
         problem.terms.begin(problem.committed.level, step.level)
@@ -160,8 +161,8 @@ class _Tangent:
         t[0, balance.nodes[on]] = z[bounds.dofs[on]] / bounds.weight[on]
         if law is not None and limits is not None:
             acts = self.state.slips(law)[:, None] | self.state.sticks(law)
-            found = np.where(acts, law.pick(z), 0.0) / limits.weight[:, None]
-            t[1:, limits.nodes] = limits.vectors(found).T
+            found = limits.vectors(np.where(acts, law.pick(z), 0.0)) + limits.known(t[0])
+            t[1:, limits.nodes] = (found / limits.weight[:, None]).T
         held.x.array[equal.dofs] = equal.upper
         return np.array(to_displacement(self.T, held.x).array), t
 
@@ -200,6 +201,7 @@ class _Step:
         ended = outcome or committed
         self.level = committed.level if ended.level is None else ended.level
         parts = [f.x.array for f in problem.solid.state.values()]
+        parts += [] if committed.sliding is None else [committed.sliding]
         self.past = [*parts, committed.displacement, committed.slid, committed.dissipated]
         self.u, self.began = at.copy(), np.concatenate([values.ravel() for values in self.past])
         self.rates = None if last is None else last.state
@@ -257,10 +259,12 @@ class _Step:
     def results(self) -> Floats:
         """Quantities, and the state at the end of the step."""
         problem, (_, balance), committed = self.problem, self.balance(), self.problem.committed
-        slips, _ = set_results(problem, balance, self.contacts.completed(balance.limits))
+        contacts = self.contacts.completed(balance.limits)
+        slips, _ = set_results(problem, balance, contacts)
         committed.supports = support_forces(problem, balance)
         problem.solid.evaluate()
         ends = [f.x.array for f in problem.solid.points.staged.values()]
+        ends += [] if contacts.sliding is None else [contacts.sliding]
         totals = slips or committed
         parts = [*(q() for q in self.of), *ends, self.at, totals.slid, totals.dissipated]
         return np.concatenate([np.ravel(part) for part in parts])
