@@ -285,6 +285,7 @@ def test_a_current_heats_bars_and_their_joint(h):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.mpi
 def test_a_block_that_slides_fast():
     """Wriggers and Miehe (1994), VM229 of Ansys: temperatures at rest, and all heat is friction."""
@@ -343,6 +344,20 @@ def test_turns_that_never_agree_are_undone():
     assert problem.u.x.array.size == 0 or largest(heat.T.x.array - 70.0) < 1e-9
 
 
+@pytest.mark.mpi
+def test_steps_in_time_with_inertia():
+    """A source alone: T = r t / c, and the bar, whose waves are fast, grows with it."""
+    domain = rectangle([(0, 0), (1, 4)], (1, 4))
+    T = fem.Function(fem.functionspace(domain, ("Lagrange", 1)))
+    how = {"eigenstrain": 1e-3 * T, "kinematics": "plane_stress"}
+    inertia = [], lambda solid: [dm.Inertia(solid, 1e-9)]
+    problem = stand(domain, dm.Elastic(1e3, 0.0), rollers, *inertia, **how)
+    heat = Heat(T, 1.0, capacity=2.0, sources=6.0)
+    for step in dm.time_steps(problem, [0.5, 1.0, 2.0], heat=heat):
+        assert largest(T.x.array - 3.0 * step.time) < 1e-12
+        assert largest(problem.u.x.array) == pytest.approx(4.0 * 3e-3 * step.time, rel=1e-6)
+
+
 def pressed_and_heated(comm):
     """Return force, temperatures and potential of blocks that a current heats, and friction."""
     sizes = {"heights": (0.1, 0.05), "x_lower": (0.0, 0.04), "x_upper": (0.0, 0.03)}
@@ -357,7 +372,7 @@ def pressed_and_heated(comm):
     current = Heat(phi, 3.0, interfaces=[joint], bcs=ends(V, tags, 50.0), **tops)
     given = {"capacity": 10.0, "bcs": ends(V, tags, 0.0), "current": current}
     heat = Heat(T, K, cells, interfaces=[joint], **given, **tops)
-    (_,) = dm.load_steps(problem, [1.0], heat=heat, rtol=1e-12)
+    (_,) = dm.load_steps(problem, [1.0], heat=heat, rtol=1e-11)
     sums = [fem.assemble_scalar(fem.form(f**2 * ufl.dx)) for f in (T, phi)]
     return np.array([*contact.force, *(comm.allreduce(value) for value in sums)])
 
