@@ -22,8 +22,6 @@ from dolfinx_mortar.common.tags import names_of
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-SHOWN = 60  # characters shown
-
 
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
     """Raise a ValueError on all ranks where a value differs; collective (16 bytes)."""
@@ -50,19 +48,16 @@ def find_constants(value: Any) -> list[Any] | None:
 
 
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
-    names = dict.fromkeys(name for own in texts for name in own)
-    table = {name: [own.get(name, "missing") for own in texts] for name in names}
-    name, every = next((name, row) for name, row in table.items() if len({*row}) > 1)
-    start = 0
-    if max(map(len, every)) > SHOWN:
-        alike = os.path.commonprefix(every)  # noqa: RUF071 - of characters
-        start = max(len(alike) - SHOWN // 3, 0)
-    shown = [f"{'... ' if start else ''}{text[start : start + SHOWN]}" for text in every]
-    told = [f"{shown[k]} on rank {k}" for k, text in enumerate(every) if text != every[0]]
-    more = f" and {len(told) - 3} more" if len(told) > 3 else ""
+    first, names = texts[0], [name for own in texts for name in own]
+    name, rank, other = next(
+        (name, rank, own.get(name, "missing"))
+        for name in names
+        for rank, own in enumerate(texts)
+        if own.get(name) != first.get(name)
+    )
     return (
-        f"{name} differs between the ranks: {shown[0]} on rank 0, but {', '.join(told[:3])}{more}; "
-        "give all ranks the same"
+        f"{name} differs between the ranks: {first.get(name, 'missing')} on rank 0, but {other} on "
+        f"rank {rank}; give all ranks the same"
     )
 
 
@@ -71,7 +66,7 @@ def _texts(name: str, value: Any) -> list[tuple[str, str]]:
 
     def text_of(leaf: Any) -> str:
         named = leaf.__qualname__ if isinstance(leaf, type) else leaf
-        return named if isinstance(named, str) else f"Constant {_plain(leaf.value)}"
+        return named if isinstance(named, str) else f"Constant {(leaf.value + 0.0).tolist()}"
 
     try:
         return [(key, text_of(leaf)) for key, leaf in _leaves(name, value)]
@@ -82,6 +77,7 @@ def _texts(name: str, value: Any) -> list[tuple[str, str]]:
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Names and texts of parts; a Constant, or the type of a user's object, instead of a text."""
     inside: Mapping[str, Any] = {}
+    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
     text: Any = _plain(value)
     if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
         text = value
@@ -99,7 +95,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, Mapping):
         inside = {f"[{key!r}]": value[key] for key in sorted(value, key=repr)}
         text = f"entries for {', '.join(inside) or 'nothing'}"
-    elif text is None and isinstance(value, list | tuple):
+    elif isinstance(value, list | tuple):
         text, inside = f"{len(value)} entries", {f"[{k}]": v for k, v in enumerate(value)}
     elif text is None:
         ours = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
@@ -121,18 +117,13 @@ def _fields(value: Any) -> Mapping[str, Any]:
 def _plain(value: Any) -> str | None:
     """Text that is equal for equal values, None for others.
 
-    >>> _plain([1, np.float64(-0.0)]), _plain(np.array([[2.0]])), _plain(("a", None, True))
-    ('[1.0, 0.0]', '[[2.0]]', "['a', None, True]")
+    >>> _plain(1), _plain(-0.0), _plain(True), _plain("a"), _plain([1])
+    ('1.0', '0.0', 'True', "'a'", None)
     """
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
     if value is None or isinstance(value, bool | str | bytes | complex):
         return repr(value)
     if isinstance(value, Real):
         return repr(float(value) + 0.0)
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
-    if not isinstance(value, list | tuple):
-        return None
-    texts = [_plain(entry) for entry in value]
-    return None if None in texts else f"[{', '.join(map(str, texts))}]"
+    return None
