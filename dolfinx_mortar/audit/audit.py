@@ -14,7 +14,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, normals_at_nodes
-from dolfinx_mortar.geometry.flat import near_others
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
@@ -23,7 +22,7 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.interfaces.tie import Bolt
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, find_parting, find_smooth_sides
 from dolfinx_mortar.mortar.duals import find_coverage, node_weights
-from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, boxes_of, find_facing
+from dolfinx_mortar.mortar.facing_bodies import Skin, are_near, find_facing
 from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import facets_at, mean_facet_length, nodal_normals
@@ -452,11 +451,7 @@ def _warnings_on_neighbours(
         return []
     comm, facets = bodies.V.mesh.comm, system.boundary.at(at)
     part = bodies.of_cells[system.boundary.cells].astype(np.int64)
-    largest = comm.allreduce(float(facet_sizes(facets.x).max(initial=0.0)), op=MPI.MAX)
-    boxes = boxes_of(comm, facets.x, part, bodies.count)
-    boxes += np.array([-largest, largest])[:, None]
-    skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
-    found = find_facing(comm, skin, near_others(facets.x, part, boxes))
+    found = find_facing(comm, Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64)))
     found = found[are_near(found, None)]
     least = np.full(coupled.shape, np.inf)
     np.minimum.at(least, tuple(np.sort(found.part, axis=1).T), found.distance)

@@ -56,23 +56,18 @@ class Facing:
         return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> Facing:
+def find_facing(comm: MPI.Intracomm, skin: Skin) -> Facing:
     """Return the facets of other parts that facets of a skin face, at any distance; collective.
 
     Not those deeper in another body than half of the thinner body (`pairing.THROUGH`).
-
-    Args:
-        skin: all exterior facets of this rank.
-        asked: (m,) facets to project; all if None.
     """
-    depth = THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
-    own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
-    facets = skin.facets[own]
-    sent = skin.facets, skin.part, skin.label, depth
-    others, part, label, behind = seen_facets(comm, facets, *sent)
+    facets = skin.facets
+    depth = THROUGH * thickness_of_bodies(comm, facets, skin.part, facets, skin.part)
+    seen = seen_facets(comm, facets, facets, skin.part, skin.label, depth)
+    others, part, label, behind = seen
     n = np.repeat(facet_normals(facets)[:, None], facets.element.nodes, axis=1)
-    pairs = find_candidates(facets, n, others, np.zeros(len(own)))
-    deepest = np.minimum(depth[own][pairs[:, 0]], behind[pairs[:, 1]])
+    pairs = find_candidates(facets, n, others, np.zeros(len(depth)))
+    deepest = np.minimum(depth[pairs[:, 0]], behind[pairs[:, 1]])
     segments = create_segments(facets, n, others, pairs, deepest)
     area = np.bincount(segments.pair, segments.weight, minlength=len(pairs)).astype(np.float64)
     least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
@@ -80,15 +75,15 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
     # neighbours overlap by round-off
     over = area > HALF_OF_DIGITS * size[:, 0] ** (facets.x.shape[2] - 1)
-    found = np.flatnonzero(over & (part[b] != skin.part[own][a]))
+    found = np.flatnonzero(over & (part[b] != skin.part[a]))
     distance = _distances(facets[a[found]], others[b[found]], least[found])
     some = np.isfinite(distance)
     found, distance = found[some], distance[some]
     a, b, size = a[found], b[found], size[found]
     return Facing(
-        facet=own[a],
-        part=np.stack([skin.part[own][a], part[b]], axis=1),
-        label=np.stack([skin.label[own][a], label[b]], axis=1),
+        facet=a,
+        part=np.stack([skin.part[a], part[b]], axis=1),
+        label=np.stack([skin.label[a], label[b]], axis=1),
         size=size,
         area=area[found],
         distance=distance,
