@@ -6,6 +6,7 @@ the sides of a facet on which two simplices lie.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -45,10 +46,7 @@ def check_mesh(mesh: Mesh) -> None:
     geometry, owned = mesh.geometry, mesh.topology.index_map(d).size_local
     dofs = np.ascontiguousarray(compat.cell_nodes(mesh)[:owned].T)
     x = np.moveaxis(np.asarray(geometry.x[dofs, :d], dtype=np.float64), 2, 1)  # (k, d, n)
-
-    def reject(bad: Any, what: str, remedy: str) -> None:
-        _reject(mesh.comm, x, bad, what, remedy)
-
+    reject = partial(_reject, mesh.comm, x)
     reject(
         ~np.isfinite(x).all(axis=(0, 1)),
         "have coordinates that are NaN or infinite",
@@ -104,7 +102,7 @@ def _beside_neighbour(mesh: Mesh, nodes: Longs, x: Floats) -> Bools:
     return np.asarray((np.abs(total.array) == 2.0)[facets].any(axis=0))
 
 
-def _reject(comm: MPI.Comm, x: Floats, bad: Bools, what: str, remedy: str) -> None:
+def _reject(comm: MPI.Comm, x: Floats, bad: Any, what: str, remedy: str) -> None:
     count, total = comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return

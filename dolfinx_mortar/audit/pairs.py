@@ -10,9 +10,8 @@ from mpi4py import MPI
 import numpy as np
 import scipy
 
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.mesh import Mesh, MeshTags, meshtags
-from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.audit.audit import COARSE
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.common import compat
@@ -128,12 +127,12 @@ def find_pairs(
             and if there is no pair, with the nearest distance.
     """
     check("mesh", mesh, instance(Mesh, "give a dolfinx.mesh.Mesh of all bodies"))
-    given = {"within": within, "surface": surface, "feature_angle": feature_angle}
-    options = {"friction": friction, "tresca": tresca, "show": show}
-    check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, **given, **options)
-    _check(mesh, within, surface)
+    law = {"friction": friction, "tresca": tresca}
+    options = {"surface": surface, "feature_angle": feature_angle, **law}
+    check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, within=within, show=show, **options)
+    V = _check(mesh, within, surface)
     check_angle(feature_angle)
-    create_law(friction, tresca)
+    create_law(**law)
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     tag_of_cell = np.zeros(owned, dtype=np.int64)
     if cell_tags is not None:
@@ -145,28 +144,27 @@ def find_pairs(
                 "tags, so that bodies are the connected parts of the mesh"
             )
     check_mesh(mesh)
-    V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh), (mesh.geometry.dim,)))
-    found = _find(V, tag_of_cell, cell_tags, within, feature_angle)
-    kept = {"surface": surface, "feature_angle": feature_angle}
-    pairs = _create(V, found, kept | {"friction": friction, "tresca": tresca})
+    pairs = _create(V, _find(V, tag_of_cell, cell_tags, within, feature_angle), options)
     if show and mesh.comm.rank == 0:
         print(pairs, flush=True)
     return pairs
 
 
-def _check(mesh: Mesh, within: Any, surface: Any) -> None:
+def _check(mesh: Mesh, within: Any, surface: Any) -> fem.FunctionSpace:
+    """Check arguments; return a space of displacements."""
     kinds = compat.cell_kinds(mesh)
     if len(kinds) > 1:
         raise ValueError(
             f"mesh has cells of several kinds, {', '.join(kinds)}: give all bodies the same kind"
         )
-    degree, d = compat.cell_degree(mesh), mesh.geometry.dim
-    check_space(fem.functionspace(mesh, ("Lagrange", degree, (d,))), "mesh")
+    V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh), (mesh.geometry.dim,)))
+    check_space(V, "mesh")
     remedy = (
         "give a positive distance in the units of the mesh, or None for the diameter of a facet"
     )
     check_optional("within", within, POSITIVE, remedy)
     check("surface", surface, SURFACES)
+    return V
 
 
 @dataclass(frozen=True)
@@ -241,12 +239,15 @@ def _find(
 
 def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
     """Numbers (sets, sets) of common nodes; collective."""
-    layout, comm = V.dofmap.index_map, V.mesh.comm
-    on = np.zeros((layout.size_local, len(sets)))
+    many = max(len(sets), 1)
+    vector = la.vector(V.dofmap.index_map, many)
+    on = vector.array.reshape(-1, many)
+    on[:] = 0.0
     for k, local in enumerate(sets):
-        nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
-        on[:, k] = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
-    return np.asarray(comm.allreduce(on.T @ on, op=MPI.SUM)).astype(np.int64)
+        on[local.ravel(), k] = 1.0
+    vector.scatter_reverse(la.InsertMode.add)
+    owned = (on[: V.dofmap.index_map.size_local] > 0.0).astype(np.int64)
+    return np.asarray(V.mesh.comm.allreduce(owned.T @ owned, op=MPI.SUM))
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
@@ -318,24 +319,20 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
     number = {(side.body, side.other): k for k, side in enumerate(found.sides)}
     ends = np.array([[k, number[b, a]] for (a, b), k in number.items() if a < b])
     roles = _choose_roles(found, ends)
-    contacts, rows, who = [], [], []
+    contacts, rows, who, masters = list[Contact](), list[Pair](), list[str](), list[str]()
     for k in np.take_along_axis(ends, np.stack([roles.slave, 1 - roles.slave], axis=1), axis=1):
         (slave, master), at = (found.sides[i] for i in k), tag_of_side[k]
         one, other = (names[tag - 1] for tag in at)
         contacts.append(Contact(named, slave=one, master=other, **options))
         sizes = tuple(counts[at].tolist()), slave.sizes
         rows.append(Pair(one, other, *sizes, slave.area, slave.distance))
-        who.append([found.names[i] for i in (slave.body, master.body)])
-    lost = [
-        f"{who[k][0]!r} as slave of {who[k][1]!r} loses {_nodes(count)} to its contact with "
-        f"{who[i][1]!r}, {REFINE}"
-        for (i, k), count in roles.twice.items()
+        masters.append(repr(found.names[master.body]))
+        who.append(f"{found.names[slave.body]!r} as slave of {masters[-1]}")
+    twice = [(k, n, f"to its contact with {masters[i]}") for (i, k), n in roles.twice.items()]
+    cycles = [
+        (k, n, f"that would close a cycle with {who[i]}") for (i, k), n in roles.cyclic.items()
     ]
-    lost += [
-        f"{who[k][0]!r} as slave of {who[k][1]!r} loses {_nodes(count)} that would close a cycle "
-        f"with {who[i][0]!r} as slave of {who[i][1]!r}, {REFINE}"
-        for (i, k), count in roles.cyclic.items()
-    ]
+    lost = [f"{who[k]} loses {_nodes(n)} {how}, {REFINE}" for k, n, how in twice + cycles]
     return Pairs(named, contacts, rows, found.joined, lost)
 
 

@@ -13,10 +13,10 @@ import scipy
 
 import dolfinx
 from dolfinx_mortar.common import compat
-from dolfinx_mortar.common.arrays import Floats, Ints
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs
 from ufl.domain import extract_unique_domain
 
-S = TypeVar("S", np.bool_, np.int32)
+S = TypeVar("S", np.bool_, np.int32, np.float64)
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 HIGHEST = 2
 """Highest degree of the displacement, and of the cells themselves."""
@@ -100,16 +100,13 @@ def find_positions(
         )
 
     found = dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))
-    for W in spaces[:1] if same_nodes else spaces[::-1]:
-        if W.dofmap.index_map_bs == d and W.element.basix_element.degree == degree:
-            found = W
     same = not same_nodes or np.array_equal(found.dofmap.list, V.dofmap.list)
     if not V.mesh.comm.allreduce(same, op=MPI.LAND):
         raise ValueError(
             "V numbers its nodes as no space of displacements does; make it by "
             "dolfinx.fem.functionspace."
         )
-    if u is None or found == u.function_space:
+    if u is None:
         return found, u
     moved = dolfinx.fem.Function(found)
     moved.interpolate(u)
@@ -170,23 +167,22 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
-    first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
-    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
-    parts, local = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    local = components(cells[:, :-1].ravel(), cells[:, 1:].ravel(), n_local)
+    parts = int(local.max(initial=-1)) + 1
 
     # a ghost of one part may be owned by another
-    offset = comm.exscan(parts) or 0
-    vector = dolfinx.la.vector(layout, 1)
-    vector.array[:n_owned] = local[:n_owned] + offset
-    vector.scatter_forward()
-    touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
+    local = local + np.int32(comm.exscan(parts) or 0)
+    touching = np.column_stack([local, with_ghosts(V, local[:n_owned])])
     links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
-    total = comm.allreduce(parts, op=MPI.SUM)
-    joined = scipy.sparse.coo_array((np.ones(len(links)), links.T), shape=(total, total))
-    _, body_of = scipy.sparse.csgraph.connected_components(joined, directed=False)
-    label = body_of[local + offset]
+    label = components(links[:, 0], links[:, 1], comm.allreduce(parts))[local]
     used = np.unique(np.concatenate(comm.allgather(np.unique(label[:n_owned]))))
     return len(used), np.searchsorted(used, label).astype(np.int32)
+
+
+def components(first: Longs | Ints, second: Longs | Ints, count: int) -> Ints:
+    """Number (count,) of the connected component of each of some things that pairs join."""
+    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1])
 
 
 def check_nodal(
@@ -219,8 +215,8 @@ def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
 
 
 def with_ghosts(V: dolfinx.fem.FunctionSpace, owned: npt.NDArray[S]) -> npt.NDArray[S]:
-    """Marks or numbers (owned nodes,) extended to ghosts; collective."""
-    vector = dolfinx.la.vector(V.dofmap.index_map, 1)
-    vector.array[: len(owned)] = owned
+    """Marks or numbers (owned nodes,) or (owned nodes, c) extended to ghosts; collective."""
+    vector = dolfinx.la.vector(V.dofmap.index_map, int(np.prod(owned.shape[1:])))
+    vector.array[: owned.size] = owned.ravel()
     vector.scatter_forward()
-    return vector.array.astype(owned.dtype)
+    return vector.array.reshape(-1, *owned.shape[1:]).astype(owned.dtype)

@@ -40,8 +40,6 @@ class LeftOut:
     """Term that the small strain neglects; zero for other measures."""
 
     strain: float  # largest |H^T H| / 2
-    largest: float  # largest strain
-    rotation: float
     work: float  # error of forces: share of the stress work, of the worst body
     lengths: float  # mean |H^T H| / 2 of that body
     felt: Floats  # (bodies,) errors over the limits
@@ -89,8 +87,6 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     worst, forces = felt.argmax(), np.maximum(turned, whole / 2.0)
     return LeftOut(
         strain=float(strains.max()),
-        largest=float(own[0].max()),
-        rotation=float(own[1].max()),
         work=float(forces[worst]),
         lengths=float(means[worst]),
         felt=felt,
@@ -171,6 +167,7 @@ def create_certificate(end: StepEnd, balances: tuple[float, float]) -> Certifica
     """Certificate of a step with its results and balances, see `set_results`; collective."""
     problem, report, contacts = end.problem, end.report, end.contacts
     left_out, residual, crossing = end.left_out, end.residual, end.overlaps.get(-1)
+    strain, rotation = left_out.own.max(axis=1).tolist()
     links, length = problem.system.links, problem.system.facet_length
     nodal, nothing = nodal_gaps(links, problem.positions(), problem.n), np.zeros((2, 0))
     on = [(link, link.coupling.directions[:, 0]) for link in problem.system.unilateral]
@@ -204,10 +201,10 @@ def create_certificate(end: StepEnd, balances: tuple[float, float]) -> Certifica
         qp_iterations=report.qp_iterations,
         line_search_steps=sum(i.line_search_steps for i in report.iterations),
         geometry_change=report.iterations[-1].geometry_change,
-        left_out_strain=ratio(left_out.strain, left_out.largest),
+        left_out_strain=ratio(left_out.strain, strain),
         left_out_work=left_out.work,
         left_out_lengths=left_out.lengths,
-        rotation=left_out.rotation,
+        rotation=rotation,
         loads=residual.loads,
         crossing=0.0 if crossing is None else max(crossing.share, 0.0),
         **_finite_strain(problem),

@@ -8,12 +8,12 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.audit.audit import SPOILT, are_flat
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.common.spaces import components
 from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.coupling import slipped
@@ -27,7 +27,6 @@ from dolfinx_mortar.mortar.surface import (
     coordinates,
     mean_facet_length,
     nodal_normals,
-    sum_at_nodes,
 )
 from dolfinx_mortar.problem.contacts import Contacts, gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -147,7 +146,7 @@ def note_pressures(end: StepEnd) -> list[str]:
 def note_strains(end: StepEnd) -> list[str]:
     """Note if the neglected term or any strain or rotation is large; collective."""
     problem, found, felt = end.problem, end.left_out, end.left_out.felt
-    large = problem.solid.gradients.small and max(found.largest, found.rotation) > LARGE
+    large = problem.solid.gradients.small and found.own.max() > LARGE
     if felt.max() < 1.0 and not large:
         return []
     body = int(np.argmax(felt if felt.max() >= 1.0 else found.own.max(axis=0)))
@@ -287,25 +286,23 @@ def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective."""
     slave, nodes, layout = link.sides.slave, link.nodes, link.sides.V.dofmap.index_map
-    active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
-    off = link.with_ghosts(link.coupling.kept[:, 0] & ~active)[slave.facets]
-    beside = np.repeat(off.max(axis=1)[:, None, None], off.shape[1], axis=1)
-    ends = sum_at_nodes(slave, beside)[: slave.owned, 0] > 0.0
+    kept, planes = link.coupling.kept[:, 0], link.sides.mirrors[nodes].sum(axis=1)
     number = layout.local_to_global(slave.nodes).astype(np.int64)
-    own = np.column_stack([number[: slave.owned], contacts.multipliers[nodes], planes, ends])
-    on = link.with_ghosts(active) > 0.0
+    rows = number[: slave.owned], contacts.active[nodes], contacts.multipliers[nodes], planes
+    on = link.with_ghosts(kept) > 0.0
     sides = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
     pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in sides])
-    sent = link.sides.V.mesh.comm.allgather((own[active], pairs))
-    table, pairs = (np.concatenate(rows) for rows in zip(*sent, strict=True))
-    if not len(table):
+    sent = link.sides.V.mesh.comm.allgather((np.column_stack(rows)[kept], pairs))
+    table, pairs = (np.concatenate(each) for each in zip(*sent, strict=True))
+    known, active, multiplier, planes = table[np.argsort(table[:, 0])].T
+    closed, (a, b) = active > 0.0, np.searchsorted(known, pairs).T
+    if not closed.any():
         return 0, False
-    table = table[np.argsort(table[:, 0])]
-    joined = np.searchsorted(table[:, 0], pairs).T
-    graph = scipy.sparse.coo_array((np.ones(len(pairs)), joined), shape=(len(table), len(table)))
-    _, patch = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    fixed, open_ = table[patch == patch[table[:, 1].argmax()], 2:].T
-    return int((2.0 ** (fixed.max() - fixed)).sum()), bool(open_.any())
+    both = closed[a] & closed[b]
+    patch = components(a[both], b[both], len(closed))
+    inside = closed & (patch == patch[np.where(closed, multiplier, -np.inf).argmax()])
+    ends = (inside[a] & ~closed[b]) | (inside[b] & ~closed[a])
+    return int((2.0 ** (planes[inside].max() - planes[inside])).sum()), bool(ends.any())
 
 
 # the same order on all ranks

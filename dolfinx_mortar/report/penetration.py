@@ -10,9 +10,10 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.common.spaces import with_ghosts
 from dolfinx_mortar.common.step_report import Note
 from dolfinx_mortar.geometry.facets import (
     LINE2,
@@ -255,9 +256,7 @@ def _create_skin(problem: ContactProblem, itself: Bools) -> npt.NDArray[Any]:
     facets, many = boundary.at(problem.u), len(interfaces)
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
     sides = np.zeros((len(body), 2, many), dtype=bool)
-    values = la.vector(problem.V.dofmap.index_map, 1 + 2 * many)
-    values.array[:] = 0.0
-    at = values.array.reshape(-1, 1 + 2 * many)
+    own_at = np.zeros((problem.n, 1 + 2 * many))
     for k, interface in enumerate(interfaces):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
@@ -265,15 +264,15 @@ def _create_skin(problem: ContactProblem, itself: Bools) -> npt.NDArray[Any]:
             off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
             if j == 0 and problem.system.links:
                 off = off + _removed(problem.system.links[k])
-            at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
-            at[own, 1 + j * many + k] = 1.0
+            own_at[own, 0] = np.maximum(own_at[own, 0], off[: surface.owned])
+            own_at[own, 1 + j * many + k] = 1.0
     for k in np.flatnonzero(itself):
         pairing = problem.system.links[k].pairing
         assert pairing is not None and pairing.roles is not None
         slaves = interfaces[k].slave.entities[pairing.roles.slave]
         sides[:, 0, k] = np.isin(boundary.entities, slaves)
         sides[:, 1, k] &= ~sides[:, 0, k]
-    values.scatter_forward()
+    at = with_ghosts(problem.V, own_at)
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & itself).any(axis=1)
     on = at[boundary.nodes[near]].max(axis=1, initial=0.0)
