@@ -6,6 +6,8 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -110,11 +112,10 @@ def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
                 "tags = dolfinx_mortar.Tags(tags, {..}), which sorts"
             )
         if not counts[1]:
-            known = sorted(set().union(*domain.comm.allgather({*tags.values.tolist()})))
             why = (
                 "all of its facets lie inside the mesh"
                 if counts[0]
-                else f"no {on[:-1]} has this tag; the tags are {labels(tags, known)}"
+                else f"no {on[:-1]} has this tag; the tags are {all_labels(domain.comm, tags)}"
             )
             raise ValueError(f"{measure} acts nowhere: {why}")
 
@@ -185,3 +186,9 @@ def labels(tags: Any, chosen: Iterable[Any]) -> str:
     """Several tags with names and numbers, for messages."""
     names = {tag: f"{name!r} ({tag})" for name, tag in names_of(tags).items()}
     return ", ".join(names.get(tag, str(tag)) for tag in chosen)
+
+
+def all_labels(comm: MPI.Comm, tags: Any) -> str:
+    """All tags of all ranks with names and numbers, for messages; collective."""
+    every = comm.allgather([*names_of(tags).values(), *tags.values.tolist()])
+    return labels(tags, sorted({tag for own in every for tag in own}))

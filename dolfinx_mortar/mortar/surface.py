@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.common.spaces import check_space, connected_parts
-from dolfinx_mortar.common.tags import check_entities, label, labels, tag_of
+from dolfinx_mortar.common.tags import all_labels, check_entities, label, tag_of
 from dolfinx_mortar.geometry.facets import (
     FACETS_OF,
     FacetElement,
@@ -120,10 +120,9 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     inside = np.setdiff1d(facets, exterior)
     total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
     if total == 0:
-        known = sorted(set().union(*comm.allgather(set(facet_tags.values.tolist()))))
         raise ValueError(
             f"{name}={label(facet_tags, tag)} marks no facet; facet_tags has the values "
-            f"[{labels(facet_tags, known)}]."
+            f"[{all_labels(comm, facet_tags)}]."
         )
     if interior > 0:
         raise ValueError(

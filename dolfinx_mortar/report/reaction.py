@@ -19,7 +19,7 @@ from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import array, check, is_integer
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.common.compat import on_same_mesh
-from dolfinx_mortar.common.tags import label, labels, names_of, tag_of
+from dolfinx_mortar.common.tags import all_labels, label, tag_of
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.mortar.surface import check_tags
 from dolfinx_mortar.persistence.committed import SupportForces
@@ -126,16 +126,15 @@ def resultants(problem: ContactProblem, masks: Sequence[Bools], about: Floats) -
 
 
 def _check_point(problem: ContactProblem, about: Any) -> Floats:
-    given = about.tolist() if isinstance(about, np.ndarray) else about
-    check_same_on_all_ranks(problem.comm, about=given)
-    if given is None:
+    check_same_on_all_ranks(problem.comm, about=about)
+    if about is None:
         return np.zeros(problem.d)
     if problem.solid.kinematics.radius is not None:
         raise ValueError(
             f"about is {about!r}, but forces on rings have no moment about points of the axis: "
             "leave it out"
         )
-    return check("about", given, array((problem.d,)))
+    return check("about", about, array((problem.d,)))
 
 
 def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
@@ -159,8 +158,7 @@ def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
     mask = marked_dofs(V, dofs)[: problem.n]
     loose, count = comm.allreduce(np.array([(mask & ~held).sum(), mask.sum()]), op=MPI.SUM)
     if tag and not count:
-        own = comm.allgather(np.unique(tags.values).tolist())
-        there = labels(tags, sorted(set(names_of(tags).values()).union(*own)))
+        there = all_labels(comm, tags)
         raise ValueError(f"support is {support!r}: nothing has this tag; there are {there}")
     if tag and loose == count:
         raise ValueError(

@@ -69,8 +69,10 @@ def write_summary(
     """
     check_problem(problem, ContactProblem)
     path = check_path(problem.comm, path)
+    wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
     with raised_together(problem.comm):
-        _check_rows(steps)
+        for row in check("steps", steps, instance((list, tuple), wanted)):
+            check("steps: a row", row, instance(Mapping, wanted))
     V, comm = problem.solid.V, problem.comm
     size = {
         "dofs": V.dofmap.index_map.size_global * V.dofmap.index_map_bs,
@@ -87,12 +89,6 @@ def write_summary(
             except OSError as error:
                 said = error.strerror or str(error)
                 raise OSError(f"path is {os.fspath(path)!r}: {said}") from error
-
-
-def _check_rows(steps: Any) -> None:
-    wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
-    for row in check("steps", steps, instance((list, tuple), wanted)):
-        check("steps: a row", row, instance(Mapping, wanted))
 
 
 def _plain(value: Any) -> Any:
