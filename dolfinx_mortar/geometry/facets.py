@@ -71,7 +71,7 @@ class FacetElement:
         """
         a, b = self.degree + 1, self.degree * (xi.shape[1] - 1) + 1
         table = self.table.reshape(-1, 3, 3)[:, :a, :b]
-        return np.asarray((table.reshape(-1, a * b) @ powers(xi, self.degree)).T)
+        return (table.reshape(-1, a * b) @ powers(xi, self.degree)).T
 
     def functions(self, xi: Floats) -> tuple[Floats, Floats, Floats]:
         """Values N (.., k) at xi (.., d-1), dN (.., d-1, k) and ddN (.., d-1, d-1, k).
@@ -128,7 +128,7 @@ def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
     """Gauss points and weights, sum 1."""
     points, weights = leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
-    return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
+    return xi, (reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
@@ -253,7 +253,7 @@ def facet_normals(facets: Facets) -> Floats:
 def unit(v: Floats) -> Floats:
     """Vectors (.., d) of length one, zero for zero; complex ones by the real formula."""
     size = np.sqrt((v * v).sum(axis=-1))
-    return np.asarray(v / np.where(size.real > 0.0, size, np.inf)[..., None])
+    return v / np.where(size.real > 0.0, size, np.inf)[..., None]
 
 
 def normals_at_nodes(facets: Facets) -> Floats:
@@ -264,7 +264,7 @@ def normals_at_nodes(facets: Facets) -> Floats:
 def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
     """Points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
     N = facets.element.shape_functions(xi)
-    return np.asarray(np.einsum("ql,qli->qi", N, facets.x[which]))
+    return np.einsum("ql,qli->qi", N, facets.x[which])
 
 
 def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
@@ -281,7 +281,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     dN = facets.element.functions(xi)[1]
     dual, normal = dual_basis(dN @ facets.x[which])
     size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
-    return np.swapaxes(dN, 1, 2) @ dual, np.asarray(normal / size[:, None])
+    return np.swapaxes(dN, 1, 2) @ dual, (normal / size[:, None])
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
@@ -326,7 +326,7 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
     inward = edges if x.shape[2] == 2 else np.cross(n[:, None], edges)
     inside = np.einsum("mki,mki->mk", inward, p[:, None] - x)
     least = -HALF_OF_DIGITS * facet_sizes(x) ** 2
-    return np.asarray(inside.min(axis=1, initial=np.inf) >= least)
+    return inside.min(axis=1, initial=np.inf) >= least
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
@@ -347,7 +347,7 @@ def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
     N = facets.element.shape_functions(points)
     jacobians = np.linalg.norm(scaled_normals(facets, points), axis=2)
     weights = jacobians * weights
-    return np.asarray((weights if factor is None else weights * factor) @ N)
+    return (weights if factor is None else weights * factor) @ N
 
 
 def distortions(facets: Facets) -> Floats:

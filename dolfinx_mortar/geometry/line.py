@@ -213,7 +213,7 @@ def moments(
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
@@ -245,7 +245,7 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
-    return np.asarray(element.table[:, ::3].T @ v)
+    return element.table[:, ::3].T @ v
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:

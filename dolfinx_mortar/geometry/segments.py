@@ -172,7 +172,7 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
     v = len(slave.element.vertices)
     control = 2 * n_s[:, v:] - n_s[:, :v].mean(axis=1, keepdims=True)  # of the Bezier curve
     n_s = np.concatenate([n_s[:, :v], control], axis=1)
-    return np.asarray(n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY))
+    return n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY)
 
 
 def sliding_margins(x_s: Floats) -> Floats:

@@ -64,7 +64,7 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
     """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
     columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
     counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
-    leant_on = np.asarray(counts[:, 0] > 0)
+    leant_on = counts[:, 0] > 0
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
 
@@ -101,7 +101,7 @@ def _common(
         n[side.nodes] = nodal_normals(side.slave, side.slave.X)[: side.slave.owned]
     angles = np.radians([interface.feature_angle for interface in interfaces])
     one_face = (of_sides * of_sides[owner, own]).sum(axis=2) > np.cos(angles)[:, None]
-    return np.asarray(whole & whole[owner, own] & one_face)
+    return whole & whole[owner, own] & one_face
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
@@ -113,7 +113,7 @@ def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Boo
     lost[sides.nodes] = coverage.faces & (
         ~common[sides.nodes] | (sum_at_nodes(slave, alone)[: slave.owned, 0] > 0)
     )
-    return np.asarray(lost & banned)
+    return lost & banned
 
 
 def resolve_claims(
@@ -140,7 +140,7 @@ def resolve_claims(
 
     def dependent(i: int, k: int) -> Bools:
         leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
-        return np.asarray(leant_on & slaves[k] & ~banned[k])
+        return leant_on & slaves[k] & ~banned[k]
 
     def remove(k: int, nodes: Bools, why: str) -> None:
         note(k, nodes, why)

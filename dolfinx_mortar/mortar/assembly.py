@@ -103,7 +103,7 @@ def _place(x: Floats) -> str:
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
-    return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
+    return V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0]
 
 
 def _evaluate(
@@ -111,7 +111,7 @@ def _evaluate(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
-    nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
+    nodes = (W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
     of_W, of_V = _tabulate(W, xi), _tabulate(V, xi)
     x = np.einsum("nk,nki->ni", of_W[0], cells.x[which])

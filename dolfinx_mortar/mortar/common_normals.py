@@ -126,7 +126,7 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 def _rotations(F: Floats) -> Floats:
     """Nearest rotations (n, d, d)."""
     U, _, V = np.linalg.svd(F)
-    return np.asarray(U @ V)
+    return U @ V
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +218,11 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 def carried(n: Floats, a: Floats) -> Floats:
     """Derivatives (n, d, d) of unit vectors a that turn with n."""
     along = (n * a).sum(axis=1)[:, None, None]
-    return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
+    return along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None]
 
 
 def _across(n: Floats) -> Floats:
-    return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
+    return np.eye(n.shape[1]) - n[:, :, None] * n[:, None]
 
 
 def _facing(
@@ -250,7 +250,7 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
+    return np.trace(S, axis1=1, axis2=2) > limit / 2
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
@@ -274,7 +274,7 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
     """
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
     z = np.linalg.solve(A + B, (b - a)[:, :, None])
-    return np.asarray(a + (A @ z)[:, :, 0])
+    return a + (A @ z)[:, :, 0]
 
 
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:

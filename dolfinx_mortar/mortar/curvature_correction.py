@@ -101,7 +101,7 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
     sure = (count[ends[:, ::-1]] == 2.0) & largest
     others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
     above_round_off = size * total[:, 1] > HALF_OF_DIGITS
-    return np.asarray((size > JUMP * others) & (neighbours == 2.0) & above_round_off)
+    return (size > JUMP * others) & (neighbours == 2.0) & above_round_off
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
@@ -118,7 +118,7 @@ def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats
     K -= 0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * tangential
     K *= known[:, None, None]
     mean = nodal_means(surface, np.column_stack([K.reshape(-1, 9), known]))
-    return np.asarray((mean[:, :-1] / np.maximum(mean[:, -1:], TINY)).reshape(-1, 3, 3))
+    return (mean[:, :-1] / np.maximum(mean[:, -1:], TINY)).reshape(-1, 3, 3)
 
 
 def _classify(
@@ -143,7 +143,7 @@ def _classify(
     counts = sum_at_nodes(surface, beyond)
     n = np.where(counts[:, 1:] > 0, 0.0, n)
     sharp = counts.max(axis=1) > 0
-    return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
+    return NodeNormals(n, is_open & ~completed, sharp)
 
 
 @dataclass(frozen=True)
@@ -365,7 +365,7 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     along = right / np.maximum(square, TINY)
     least, k = along.min(axis=1), along.max(axis=1)
     k = np.where(-least > k, least, k)
-    return np.asarray(h + k[of] * h**2 / 2 - found)
+    return h + k[of] * h**2 / 2 - found
 
 
 def point_motions(

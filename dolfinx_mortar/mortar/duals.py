@@ -80,7 +80,7 @@ def absorbed(
     if not shares:
         return values
     kept = np.ones(values.shape, dtype=bool) if kept is None else kept
-    return np.asarray((absorbing(shares, kept) @ values[:, :, None])[:, :, 0])
+    return (absorbing(shares, kept) @ values[:, :, None])[:, :, 0]
 
 
 def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
@@ -212,7 +212,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
         kept: (m, k) nodes with a multiplier.
     """
     Phi, inverse = _all_duals(np.ascontiguousarray(N.T), weight, slave, kept)
-    return Duals(np.asarray(Phi.T), kept, inverse)
+    return Duals(Phi.T, kept, inverse)
 
 
 @timed("~Mortar: node weights")
@@ -244,9 +244,7 @@ class Coverage:
     @property
     def faces(self) -> Bools:
         """Nodes (n,) with enough coverage for a multiplier."""
-        return np.asarray(
-            (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
-        )
+        return (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
 
 
 def find_coverage(
@@ -258,7 +256,7 @@ def find_coverage(
     reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
     own, (none, facets) = slice(None, slave.owned), _find_weightless(pairing, segments)
     share = np.where(none, facets, covered / np.where(none, 1.0, tributary))
-    return Coverage(np.asarray(share[own]), np.asarray(reached[own]), none[own])
+    return Coverage(share[own], reached[own], none[own])
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
@@ -271,7 +269,7 @@ def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Fl
     sizes = np.repeat(np.stack([whole.sum(axis=1), covered], axis=1)[:, None], whole.shape[1], 1)
     sums = sum_at_nodes(slave, np.concatenate([whole[:, :, None], sizes], axis=2))
     none = sums[:, 0] <= LEAST_WEIGHT * sums[:, 1]
-    return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
+    return none, sums[:, 2] / np.maximum(sums[:, 1], TINY)
 
 
 def default_keep(

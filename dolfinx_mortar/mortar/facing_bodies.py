@@ -129,7 +129,7 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 def are_near(facing: Facing, within: float | None) -> Bools:
     """Pairs `within` a distance, default the larger diameter."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
-    return np.asarray(facing.distance <= reach)
+    return facing.distance <= reach
 
 
 def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:

@@ -27,7 +27,7 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
     means of the vertices. Edges of more than `feature_angle` degrees have no curvature.
     """
     n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
-    closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)
+    closed = np.linalg.norm(gap, axis=1) <= limit
     tilt, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
     for i in range(fixed.shape[1]):
         some = fixed[surface.facets, i].any(axis=1)

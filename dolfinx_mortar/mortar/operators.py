@@ -178,7 +178,7 @@ def mean_values(
     The weights D_jj are (n, 1).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
-    return np.asarray(total * inverse(weight))
+    return total * inverse(weight)
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,7 +96,7 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
-    return np.asarray(THROUGH * surface.thickness * stretch)
+    return THROUGH * surface.thickness * stretch
 
 
 def create_triplets(slave: Surface, rows: Longs, columns: Longs) -> Triplets:
@@ -229,7 +229,7 @@ def _coordinates_of(
     if u is None:
         return X
     own = u.x.array[: V.dofmap.index_map.size_local * X.shape[1]].reshape(-1, X.shape[1])
-    return np.asarray(X + values_at(V.mesh.comm, own, nodes))
+    return X + values_at(V.mesh.comm, own, nodes)
 
 
 def receive(pairing: Pairing, values: npt.NDArray[Any]) -> Floats:

@@ -209,7 +209,7 @@ def _behind(parts: Floats, most: float, less: float) -> Floats:
     """Lines or triangles moved inward by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
-    return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
+    return parts - (shift[:, None] * facet_normals(facets))[:, None]
 
 
 def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
@@ -224,7 +224,7 @@ def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Float
     inside, outside = phi[0] < 0.0, phi[0] > 0.0
     for ends, distances in zip(pairwise(ways), pairwise(phi), strict=True):
         inside |= _cross(ends, distances, least, distance)
-    return np.asarray(inside & outside)
+    return inside & outside
 
 
 def _cross(
@@ -265,11 +265,11 @@ class RigidMotion:
 
     def at(self, x: Floats) -> Floats:
         """Images of points (.., d)."""
-        return np.asarray(x @ self.R.T + self.c)
+        return x @ self.R.T + self.c
 
     def back(self, x: Floats) -> Floats:
         """Preimages of points (.., d)."""
-        return np.asarray((x - self.c) @ self.R)
+        return (x - self.c) @ self.R
 
     def seen_from(self, other: RigidMotion) -> RigidMotion:
         """The motion relative to another one."""
@@ -279,7 +279,7 @@ class RigidMotion:
         """Rotation vector (3,) in radians; in 2D along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
-        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec())
+        return scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec()
 
     def angle(self) -> float:
         """Angle of the rotation in degrees."""

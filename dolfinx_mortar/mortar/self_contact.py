@@ -90,7 +90,7 @@ def choose_roles(
 def _are_among(rows: Longs, keys: Longs) -> Bools:
     _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
     number = number.ravel()
-    return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
+    return np.isin(number[len(keys) :], number[: len(keys)])
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
@@ -132,7 +132,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     )
     both = scipy.sparse.coo_array((np.ones(2 * len(turn)), ends), shape=(2 * n + 2, 2 * n + 2))
     _, role = scipy.sparse.csgraph.connected_components(both, directed=False)
-    return np.asarray(role[rank] == role[slaves])
+    return role[rank] == role[slaves]
 
 
 def neighbours(keys: Longs, least: int) -> Longs:

@@ -93,7 +93,7 @@ def marks(index_map: dolfinx.common.IndexMap, local: Ints) -> Bools:
     found.array[local] = 1.0
     found.scatter_reverse(dolfinx.la.InsertMode.add)
     found.scatter_forward()
-    return np.asarray(found.array > 0.0)
+    return found.array > 0.0
 
 
 def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
@@ -265,7 +265,7 @@ def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) ->
     add_at_nodes(at, np.ascontiguousarray(nodes), each[:, None].repeat(nodes.shape[1], axis=1))
     sums.scatter_reverse(dolfinx.la.InsertMode.add)
     sums.scatter_forward()
-    return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
+    return at[:, :-1] / np.maximum(at[:, -1:], 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,7 +357,7 @@ def dependent_nodes(surface: Surface) -> Bools:
     count = np.zeros(len(surface.nodes))
     for middle, *_ in surface.element.shares:
         count[surface.facets[:, middle]] = 1.0
-    return np.asarray(accumulate(surface, count) > 0)
+    return accumulate(surface, count) > 0
 
 
 def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
@@ -408,7 +408,7 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     normals = scaled_normals(facets_at(surface, of_nodes), surface.element.centre)[:, 0]
-    return np.asarray(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
+    return volume / np.maximum(np.linalg.norm(normals, axis=1), TINY)
 
 
 def mean_facet_length(surface: Surface) -> float:
