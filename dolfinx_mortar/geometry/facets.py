@@ -69,9 +69,7 @@ class FacetElement:
         >>> LINE3.shape_functions(np.array([[0.5]]))
         array([[-0.125,  0.375,  0.75 ]])
         """
-        a, b = self.degree + 1, self.degree * (xi.shape[1] - 1) + 1
-        table = self.table.reshape(-1, 3, 3)[:, :a, :b]
-        return (table.reshape(-1, a * b) @ powers(xi, self.degree)).T
+        return (self.table @ powers(xi)).T
 
     def functions(self, xi: Floats) -> tuple[Floats, Floats, Floats]:
         """Values N (.., k) at xi (.., d-1), dN (.., d-1, k) and ddN (.., d-1, d-1, k).
@@ -80,45 +78,42 @@ class FacetElement:
         [[[0.0, 1.0, -1.0]]]
         """
         e, k = xi.shape[-1], self.nodes
-        found = (self.slopes @ powers(xi.reshape(-1, e), 2)).T
+        found = (self.slopes @ powers(xi.reshape(-1, e))).T
         found = found.reshape(*xi.shape[:-1], len(self.slopes))
         N, first, second = np.split(found, [k, k + k * e], axis=-1)
         return N, first.reshape(*xi.shape, k), second.reshape(*xi.shape, e, k)
 
     @cached_property
     def table(self) -> Floats:
-        """Coefficients (k, 9) of the shape functions: of xi^a eta^b at 3 a + b.
+        """Coefficients (k, 3^(d-1)) of the shape functions, see `powers`.
 
         >>> TRI3.table[:, [0, 1, 3]].tolist()
         [[1.0, -1.0, -1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
         """
-        a, b = (i.ravel() for i in np.indices((3, 3)))
-        order = np.maximum(a, b) if self.bilinear else a + b
-        mine = (order <= self.degree) & ((self.points.shape[1] == 2) | (b == 0))
-        found = np.zeros((self.nodes, 9))
+        e = self.points.shape[1]
+        exponents = np.indices(e * [3]).reshape(e, -1)
+        order = exponents.max(axis=0) if self.bilinear else exponents.sum(axis=0)
+        mine, found = order <= self.degree, np.zeros((self.nodes, len(order)))
         found[:, mine] = np.linalg.inv(powers(self.points)[mine]).round(12) + 0.0  # n / 4
         return found
 
     @cached_property
     def slopes(self) -> Floats:
-        """Coefficients (n, 9), (n, 3) in the plane, of N and its first and second derivatives."""
+        """Coefficients (n, 3^(d-1)) of N and its first and second derivatives."""
         one, by = np.eye(3), np.diag([1.0, 2.0], -1)  # of the powers of one coordinate
-        both = [np.kron(by, one), np.kron(one, by)][: self.points.shape[1]]
+        both = [np.kron(by, one), np.kron(one, by)] if self.points.shape[1] == 2 else [by]
         first = [self.table @ D for D in both]
-        found = np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
-        return found[:, :: 3 if len(both) == 1 else 1]
+        return np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
 
 
-def powers(xi: Floats, degree: int | None = None) -> Floats:
-    """Products xi^a eta^b (n, q) for xi (q, d-1); without a degree a, b <= 2, eta = 0 in the plane.
+def powers(xi: Floats) -> Floats:
+    """Powers xi^a (3, q) of coordinates (q, 1), or xi^a eta^b (9, q), at 3 a + b, of (q, 2).
 
-    >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]]), 2).T.tolist()
+    >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]])).T.tolist()
     ([[1.0, 3.0, 9.0, 2.0, 6.0, 18.0, 4.0, 12.0, 36.0]], [[1.0, 2.0, 4.0]])
     """
-    one, n = np.ones(len(xi)), 3 if degree is None else degree + 1
-    r, s = ([one, v, v * v][:n] for v in (*xi.T, 0.0 * one)[:2])
-    s = s[:1] if degree is not None and xi.shape[1] == 1 else s
-    return np.stack([x * y for x in r for y in s])
+    first, *others = (np.stack([np.ones(len(xi)), v, v * v]) for v in xi.T)
+    return (first[:, None] * others[0]).reshape(9, len(xi)) if others else first
 
 
 _SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]])

@@ -245,7 +245,7 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
-    return element.table[:, ::3].T @ v
+    return element.table.T @ v
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:
