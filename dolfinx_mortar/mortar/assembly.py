@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 import dolfinx
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arrays import Floats, Ints, Longs
@@ -206,25 +206,18 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
-    start, columns, values = csr_of(A)
-    shape = (index_map.size_local, index_map.size_global)
-    expanded = scipy.sparse.kron(
-        scipy.sparse.csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr"
-    )
-    indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))
-    sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
-    return PETSc.Mat().createAIJ(sizes, csr=(*indices, expanded.data), comm=V.mesh.comm)
+    d = V.dofmap.index_map_bs
+    expanded = scipy.sparse.kron(owned_rows(A)[rows], np.eye(d), "csr")
+    return matrix_of(V.mesh.comm, expanded, d * V.dofmap.index_map.size_local)
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
     """N (d * m, m) of eq. 17, for normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
-    columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
-    start = np.arange(m * d + 1, dtype=PETSc.IntType)
-    sizes = ((m * d, None), (m, None))
-    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, normals.ravel()), comm=comm)
+    places = first + np.arange(m).repeat(d), np.arange(m * d + 1)
+    rows = scipy.sparse.csr_array((normals.ravel(), *places), shape=(m * d, first + m))
+    return matrix_of(comm, rows, m)
 
 
 def assemble_mortar(

@@ -202,7 +202,6 @@ class SideOperators:
     segments: Segments  # whole facets
     x: Floats  # (q, d) their points
     Phi: Floats  # (q, k) weighted dual functions
-    keep: Bools  # (local slave nodes,)
     kept: Bools  # (n, 1) owned
     weight: Floats  # (n, 1) D_jj, 0 where not kept
     P: Floats  # (e, 1) - D_jl / D_jj off the diagonal
@@ -242,7 +241,7 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
     """Integrate D over the facing facets (m,) of this rank, at x; collective."""
-    slave, own = side.slave, slice(None, side.slave.owned)
+    slave = side.slave
     segments, points = whole_facets(side, x, facing)
     weights = node_weights(side, segments)
     keep, Phi = choose_duals(side, segments, weights, allowed)
@@ -254,8 +253,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
         segments=segments,
         x=points,
         Phi=Phi,
-        keep=keep,
-        kept=keep[own, None] & (weight > 0.0),
+        kept=weight > 0.0,
         weight=weight,
         P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
         coverage=find_coverage(side, segments, *weights),
