@@ -202,10 +202,9 @@ def weigh(slave: Surface, weight: Weight | None, segments: Segments, facets: Fac
     """The segments with a weight, taken at X, where it is positive."""
     if weight is None:
         return segments
-    at_X, xi = facets_at(slave, slave.X), facets.element.rule[0]
-    which = np.repeat(np.arange(len(facets.x), dtype=np.int32), len(xi))
-    points = points_of(at_X, which, np.tile(xi, (len(facets.x), 1)))
-    whole = weight(points).reshape(len(facets.x), len(xi))
+    at_X = facets_at(slave, slave.X)
+    points = facets.element.shape_functions(facets.element.rule[0]) @ at_X.x
+    whole = weight(points.reshape(-1, points.shape[2])).reshape(points.shape[:2])
     return replace(
         segments,
         weight=segments.weight * weight(points_of(at_X, segments.slave, segments.xi_s)),

@@ -229,11 +229,9 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     facets, element = facets_at(slave, x), slave.element
     xi, weights = rule_of(element)
     jacobians = np.linalg.norm(scaled_normals(facets, xi), axis=2) * weights
-    m, q = jacobians.shape
-    which = np.repeat(np.arange(m, dtype=np.int32), q)
-    some = facing[which]
-    which, at, weight = which[some], np.tile(xi, (m, 1))[some], jacobians.ravel()[some]
-    none = np.full(len(which), -1, dtype=np.int32)
+    some = np.flatnonzero(facing).astype(np.int32)
+    which, at = some.repeat(len(xi)), np.tile(xi, (len(some), 1))
+    none, weight = np.full(len(which), -1, dtype=np.int32), jacobians[some].ravel()
     sums = tributary_weights(facets)
     segments = Segments(none, which, none, at, 0.0 * at, weight, sums, element)
     return weigh(slave, side.weight, segments, facets), points_of(facets, which, at)

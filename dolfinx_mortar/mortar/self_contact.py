@@ -176,13 +176,10 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
     near = np.flatnonzero(distance <= REACH / 2)
     pairs, distance = pairs[near], distance[near]
     keys = pairs[:, 0].astype(np.int64) * len(roles.copies) + pairs[:, 1]
-    place = np.searchsorted(roles.seen, keys)
-    place[place == len(roles.seen)] = 0
-    known = np.zeros(len(keys), dtype=bool)
     then: Floats = np.full(len(keys), np.inf)
-    if len(roles.seen):
-        known = roles.seen[place] == keys
-        then = roles.distance[place]
+    _, again, before = np.intersect1d(keys, roles.seen, return_indices=True)
+    then[again] = roles.distance[before]
+    known = then < np.inf
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
     settled = ~own & other  # the slave's rank tests it
     settled |= own & ~other & known
