@@ -69,7 +69,9 @@ class FacetElement:
         >>> LINE3.shape_functions(np.array([[0.5]]))
         array([[-0.125,  0.375,  0.75 ]])
         """
-        return (self.table @ powers(xi)).T
+        n, e = self.degree + 1, xi.shape[1]
+        table = self.table.reshape(-1, *e * [3])[:, *e * [slice(n)]]
+        return (table.reshape(-1, n**e) @ powers(xi, n)).T
 
     def functions(self, xi: Floats) -> tuple[Floats, Floats, Floats]:
         """Values N (.., k) at xi (.., d-1), dN (.., d-1, k) and ddN (.., d-1, d-1, k).
@@ -106,14 +108,14 @@ class FacetElement:
         return np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
 
 
-def powers(xi: Floats) -> Floats:
-    """Powers xi^a (3, q) of coordinates (q, 1), or xi^a eta^b (9, q), at 3 a + b, of (q, 2).
+def powers(xi: Floats, n: int = 3) -> Floats:
+    """First powers xi^a (n, q) of coordinates (q, 1), or xi^a eta^b (n^2, q) of (q, 2).
 
     >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]])).T.tolist()
     ([[1.0, 3.0, 9.0, 2.0, 6.0, 18.0, 4.0, 12.0, 36.0]], [[1.0, 2.0, 4.0]])
     """
-    first, *others = (np.stack([np.ones(len(xi)), v, v * v]) for v in xi.T)
-    return (first[:, None] * others[0]).reshape(9, len(xi)) if others else first
+    first, *others = (np.stack([np.ones(len(xi)), v, v * v][:n]) for v in xi.T)
+    return (first[:, None] * others[0]).reshape(n * n, len(xi)) if others else first
 
 
 _SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]])

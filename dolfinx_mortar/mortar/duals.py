@@ -138,12 +138,12 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
             for q in range(n):
                 Q[j, q] = roots[q] * N[which[j], first + q]
         _biorthogonalise(Q, roots, found, among)
-        for q in range(n):
-            missing = 1.0
-            for j in range(k):
-                missing -= found[j, q]
-            for j in range(k):
-                Phi[which[j], first + q] = found[j, q] + missing / k
+        missing = np.full(n, 1.0 / max(k, 1))
+        for j in range(k):
+            add(-1.0 / k, found[j], missing)
+        for j in range(k):
+            for q in range(n):
+                Phi[which[j], first + q] = found[j, q] + missing[q]
         for j in range(k):
             for i in range(k):
                 inverse[s, which[i], which[j]] = among[i, j]

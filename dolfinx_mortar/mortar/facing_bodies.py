@@ -21,11 +21,11 @@ from dolfinx_mortar.geometry.facets import (
     are_inside,
     facet_normals,
     facet_sizes,
-    points_of,
 )
 from dolfinx_mortar.geometry.flat import bounds, facet_distances
-from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
+from dolfinx_mortar.geometry.segments import create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.mortar.integrals import gaps
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.self_contact import neighbours
 from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
@@ -75,7 +75,8 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     deepest = np.minimum(depth[own][pairs[:, 0]], behind[pairs[:, 1]])
     segments = create_segments(facets, n, others, pairs, deepest)
     area = np.bincount(segments.pair, segments.weight, minlength=len(pairs)).astype(np.float64)
-    least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
+    least = np.full(len(pairs), np.inf)
+    np.minimum.at(least, segments.pair, gaps(facets, others, pairs, segments, n[:, 0]))
     a, b = pairs.T
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
     # neighbours overlap by round-off
@@ -94,16 +95,6 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
         distance=distance,
         place=facets.x[a].mean(axis=1),
     )
-
-
-def _least_gaps(
-    facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
-) -> Floats:
-    apart = points_of(others, segments.master, segments.xi_m)
-    apart -= points_of(facets, segments.slave, segments.xi_s)
-    least = np.full(count, np.inf)
-    np.minimum.at(least, segments.pair, np.einsum("qi,qi->q", apart, n[segments.slave]))
-    return least
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:

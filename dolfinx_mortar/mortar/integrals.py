@@ -116,10 +116,14 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
-    count, N = len(facets.x), (segments.N, master.element.shape_functions(segments.xi_m))
-    at = facets.x, master.x, facet_normals(facets), facet_normals(master), on, segments.master
-    gap, least, sums = np.empty(len(on)), np.full(count, np.inf), np.zeros((count, 2))
-    _measure(gap, least, sums, *N, *at, w)
+    n, count = facet_normals(facets), len(facets.x)
+    gap, least = gaps(facets, master, pairing.pairs, segments, n), np.full(count, np.inf)
+    np.minimum.at(least, on, gap)
+    cosine = np.einsum(
+        "pi,pi->p", n[pairing.pairs[:, 0]], facet_normals(master)[pairing.pairs[:, 1]]
+    )
+    steep = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / np.maximum(np.abs(cosine), EPS)
+    sums = np.stack([np.bincount(on, v, count) for v in (w * steep[segments.pair], w)], axis=1)
     reach = _reaches(slave, least, sums, facet_sizes(facets.x))
     part = 1.0 - reach[on, 1] * (gap - reach[on, 0])
     if part.min(initial=1.0) > 1.0 - HALF_OF_DIGITS:
@@ -130,24 +134,12 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     return some_points(segments, some[segments.pair])
 
 
-@numba.njit(cache=True)
-def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weight):  # type: ignore[no-untyped-def]
-    """Fill gaps (q,) along normals, least ones (m,), sums (m, 2) of w |tan a|, w."""
-    for q in range(len(slave)):
-        s, m = slave[q], master[q]
-        gap[q], cosine = 0.0, 0.0
-        for i in range(x_s.shape[2]):
-            apart = 0.0
-            for k in range(N_m.shape[1]):
-                apart += N_m[q, k] * x_m[m, k, i]
-            for k in range(N_s.shape[1]):
-                apart -= N_s[q, k] * x_s[s, k, i]
-            gap[q] += apart * n_s[s, i]
-            cosine += n_s[s, i] * n_m[m, i]
-        least[s] = min(least[s], gap[q])
-        sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
-        sums[s, 0] += weight[q] * sine / max(abs(cosine), EPS)
-        sums[s, 1] += weight[q]
+def gaps(facets: Facets, master: Facets, pairs: Ints, segments: Segments, n: Floats) -> Floats:
+    """Gaps (q,) at points of pairs (p, 2) along normals n (m, d) of the facets."""
+    heights = np.einsum("mki,mi->mk", facets.x, n)[segments.slave]
+    above = np.einsum("pki,pi->pk", master.x[pairs[:, 1]], n[pairs[:, 0]])[segments.pair]
+    N = master.element.shape_functions(segments.xi_m)
+    return np.einsum("qk,qk->q", N, above) - np.einsum("qk,qk->q", segments.N, heights)
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
