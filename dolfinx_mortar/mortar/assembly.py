@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 import dolfinx
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
@@ -69,9 +70,7 @@ class _Cells(NamedTuple):
     dofs: Longs
 
 
-def _find_cells(
-    V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
-) -> _Cells:
+def _find_cells(V: FunctionSpace, side: Surface, u: Function | None, name: str) -> _Cells:
     W, d, cells = side.V, side.X.shape[1], cells_of(side)
     nodes = W.dofmap.list[cells]
     of_facets = side.nodes[side.facets]
@@ -101,13 +100,13 @@ def _place(x: Floats) -> str:
     return ", ".join(f"{v:.4g}" for v in x.mean(axis=0))
 
 
-def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
+def _tabulate(V: FunctionSpace, xi: Floats) -> Floats:
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0]
 
 
 def _evaluate(
-    V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
+    V: FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
@@ -121,12 +120,12 @@ def _evaluate(
 
 
 def segments(
-    V: dolfinx.fem.FunctionSpace,
+    V: FunctionSpace,
     facet_tags: dolfinx.mesh.MeshTags,
     *,
     slave: int | str,
     master: int | str,
-    u: dolfinx.fem.Function | None = None,
+    u: Function | None = None,
 ) -> Segments:
     """Return the points for integrals over an interface of non-matching meshes (collective).
 
@@ -205,7 +204,7 @@ class Mortar:
     nodes: Longs  # (m_I of this rank,) global nodes in the order of the rows
 
 
-def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
+def _expand_rows(A: PETSc.Mat, rows: Ints, V: FunctionSpace) -> PETSc.Mat:
     d = V.dofmap.index_map_bs
     expanded = scipy.sparse.kron(owned_rows(A)[rows], np.eye(d), "csr")
     return matrix_of(V.mesh.comm, expanded, d * V.dofmap.index_map.size_local)
@@ -221,12 +220,12 @@ def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
 
 
 def assemble_mortar(
-    V: dolfinx.fem.FunctionSpace,
+    V: FunctionSpace,
     facet_tags: dolfinx.mesh.MeshTags,
     *,
     slave: int | str,
     master: int | str,
-    u: dolfinx.fem.Function | None = None,
+    u: Function | None = None,
     weight: Weight | None = None,
     feature_angle: float | None = None,
 ) -> Mortar:

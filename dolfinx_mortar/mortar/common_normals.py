@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx import fem
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import STEP
@@ -40,7 +40,7 @@ face differ by 1e-4, of crossing edges by 0.002."""
 class Spreads:
     """Spreads of normals around the nodes of contacts."""
 
-    V: fem.FunctionSpace
+    V: FunctionSpace
     nodes: Ints  # (s,) local nodes, ascending
     S: Floats  # (s, d, d) S + eps I at X
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
@@ -49,7 +49,7 @@ class Spreads:
     gradients: Floats  # (m, k, d) of N at facets' centres at X
     normals: Floats  # (m, d) at these
 
-    def at(self, u: fem.Function | None) -> Floats:
+    def at(self, u: Function | None) -> Floats:
         """Spreads S + eps I (s, d, d) at X + u, turned by the rotations of dx/dX; collective."""
         S, d = self.S.copy(), self.S.shape[1]
         if u is None:
@@ -113,7 +113,7 @@ def _with_images(S: Floats, mirrors: Bools) -> Floats:
     return np.where(off, 0.0, S)
 
 
-def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
+def _covariances(V: FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -150,7 +150,7 @@ def common_normals(
     pairing: Pairing,
     segments: Segments,
     M: Floats,
-    u: fem.Function | None,
+    u: Function | None,
     averaged: Floats,
     spreads: Spreads,
     feature_angle: float,
@@ -226,7 +226,7 @@ def _across(n: Floats) -> Floats:
 
 
 def _facing(
-    pairing: Pairing, segments: Segments, u: fem.Function | None, edged: np.bool_
+    pairing: Pairing, segments: Segments, u: Function | None, edged: np.bool_
 ) -> tuple[Floats, Floats]:
     """Sums (owned nodes, d) of w N_j n_s and w N_l n_m if there are edges; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master

@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-import dolfinx
 from dolfinx.common import timed
+from dolfinx.fem import Function
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, flat
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
@@ -258,7 +258,7 @@ def _at(surface: Surface, facets: Facets, c: Floats, stretch: Floats | None, whi
 
 def find_curved(
     pairing: Pairing,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
@@ -278,7 +278,7 @@ def find_curved(
     )
 
 
-def _stretch(surface: Surface, u: dolfinx.fem.Function | None) -> Floats | None:
+def _stretch(surface: Surface, u: Function | None) -> Floats | None:
     """Factors (m, 1) of heights of second order; collective."""
     if u is None or surface.element.degree == 1:
         return None
@@ -295,7 +295,7 @@ def _pairs_of(segments: Segments) -> tuple[Ints, Ints]:
 def point_heights(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
     """Sum of heights (q,), by which smooth surfaces are closer than facets; collective.
@@ -309,23 +309,21 @@ def point_heights(
     return h + b.heights(b.shared(a), of, segments.xi_m)
 
 
-def _side_at(surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None) -> Curved:
+def _side_at(surface: Surface, side: SmoothSide, u: Function | None) -> Curved:
     facets = facets_at(surface, coordinates(surface, u))
     every = np.arange(len(facets.x), dtype=np.int32)
     return _at(surface, facets, side.sagitta, _stretch(surface, u), every)
 
 
 def side_heights(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
+    surface: Surface, side: SmoothSide, u: Function | None, which: Ints, xi: Floats
 ) -> Floats:
     """Heights (q,) of a second-order side at X + u; collective."""
     at = _side_at(surface, side, u)
     return at.heights(at.sagitta, which, xi)
 
 
-def side_slopes(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
-) -> Floats:
+def side_slopes(surface: Surface, side: SmoothSide, u: Function, which: Ints, xi: Floats) -> Floats:
     """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
     at = _side_at(surface, side, u)
     slopes = np.zeros((len(which), *at.facets.x.shape[1:]))
@@ -342,7 +340,7 @@ def side_slopes(
 def missed_heights(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
     """Fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
@@ -405,7 +403,7 @@ def point_motions(
 def find_parting(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> float:
     """Mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.

@@ -14,8 +14,8 @@ from mpi4py import MPI
 import numba
 import numpy as np
 
-import dolfinx
 from dolfinx.common import timed
+from dolfinx.fem import Function
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -96,7 +96,7 @@ class Integrated(Protocol):
 
 
 @timed("~Mortar: segments")
-def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
+def find_segments(pairing: Pairing, u: Function | None) -> tuple[Segments, Floats]:
     """Find the segments, weighted, and the averaged slave normals (n, d) at X + u (collective)."""
     slave = pairing.slave
     x = coordinates(slave, u)
@@ -154,7 +154,7 @@ def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Float
 
 
 def point_distances(
-    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
+    pairing: Pairing, segments: Segments, u: Function | None
 ) -> tuple[Floats, Floats]:
     """Distances |x_s - x_m| (q,), and the larger diameter (q,) at X of both facets (collective)."""
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
@@ -169,7 +169,7 @@ def point_distances(
 def drop_far(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     reach: Callable[[Floats, float], Floats],
 ) -> Segments:
     """The segments without pairs that are too far apart as a whole (collective).

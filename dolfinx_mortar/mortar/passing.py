@@ -21,7 +21,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy
 
-from dolfinx import fem
+from dolfinx.fem import Function
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arrays import (
     HALF_OF_DIGITS,
@@ -44,7 +44,7 @@ class Middles:
     surface: Surface
     depth: Floats  # (m,) distance from the facet at X
 
-    def at(self, u: fem.Function) -> tuple[Floats, Floats]:
+    def at(self, u: Function) -> tuple[Floats, Floats]:
         """Centres and middles (k, d) of facets of finite depth."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
@@ -109,9 +109,7 @@ def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool
     return bool(np.linalg.norm(extent) >= -found[0])
 
 
-def find_passed(
-    slave: Middles, master: Middles, before: fem.Function, now: fem.Function
-) -> Passing | None:
+def find_passed(slave: Middles, master: Middles, before: Function, now: Function) -> Passing | None:
     """The side through which the other one has passed, or None; collective.
 
     All ranks get all facets of a side: call `is_far` first.
@@ -120,9 +118,7 @@ def find_passed(
     return _passed(master, slave.surface, before, now) if found is None else found
 
 
-def _passed(
-    side: Middles, other: Surface, before: fem.Function, now: fem.Function
-) -> Passing | None:
+def _passed(side: Middles, other: Surface, before: Function, now: Function) -> Passing | None:
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
@@ -159,7 +155,7 @@ def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs)
 
 
 def find_passed_tool(
-    side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool
+    side: Middles, before: Function, now: Function, seen: SeenByTool
 ) -> Passing | None:
     """Whether a body and a rigid tool have passed through each other; collective.
 
