@@ -71,7 +71,7 @@ def one_ring_sums(
         return np.repeat(chord, facets.element.nodes, axis=1), np.repeat(ends, len(x), axis=0)
     ahead, behind = (np.roll(x, turn, axis=1) - x for turn in (-1, 1))
     if n is not None and K is not None:
-        corners = np.array(facets.element.vertices)
+        corners = facets.element.vertices
         ahead, behind = (_projected(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
     ahead, behind = (_divided(e, (e**2).sum(axis=2)) for e in (ahead, behind))
     normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)

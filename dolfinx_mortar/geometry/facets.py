@@ -24,7 +24,6 @@ class FacetElement:
     cell: str  # dolfinx's name of the reference facet
     size: float  # length or area of the reference facet
     degree: int  # of the displacement along an edge
-    points: Floats  # (k, d-1) nodes on the reference facet
     rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1
     sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in 3D
     order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
@@ -33,10 +32,18 @@ class FacetElement:
     # mid-side nodes and the ends of their edges
     shares: tuple[tuple[int, int, int], ...] = ()
 
+    @cached_property
+    def points(self) -> Floats:
+        """Nodes (k, d-1) on the reference facet."""
+        cell, equal = basix.CellType[self.cell], basix.LagrangeVariant.equispaced
+        found = basix.create_element(basix.ElementFamily.P, cell, self.degree, equal).points
+        x = np.asarray(found[list(self.order)])
+        return x if self.cell == "triangle" else 2.0 * x - 1.0
+
     @property
     def nodes(self) -> int:
         """Number of nodes k."""
-        return len(self.points)
+        return len(self.order)
 
     @property
     def first(self) -> FacetElement:
@@ -118,9 +125,6 @@ def powers(xi: Floats, n: int = 3) -> Floats:
     return (first[:, None] * others[0]).reshape(n * n, len(xi)) if others else first
 
 
-_SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]])
-
-
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
     """Gauss points and weights, sum 1."""
     points, weights = leggauss(n)
@@ -139,7 +143,6 @@ LINE2 = FacetElement(
     cell="interval",
     size=2.0,
     degree=1,
-    points=np.array([[-1.0], [1.0]]),
     rule=_gauss(2, 1),  # exact also with a linear weight such as 2 pi r
     sub_facets=((0, 1),),
     order=(0, 1),
@@ -148,7 +151,6 @@ LINE2 = FacetElement(
 LINE3 = replace(
     LINE2,
     degree=2,
-    points=np.array([[-1.0], [1.0], [0.0]]),
     rule=_gauss(5, 1),
     sub_facets=((0, 2), (2, 1)),
     order=(0, 1, 2),
@@ -159,8 +161,7 @@ TRI3 = FacetElement(
     cell="triangle",
     size=0.5,
     degree=1,
-    points=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
-    rule=(np.full((1, 2), 1 / 3), np.ones(1)),
+    rule=triangle_rule(1),
     sub_facets=((0, 1, 2),),
     order=(0, 1, 2),
     mirrored=(2, 1, 0),
@@ -168,7 +169,6 @@ TRI3 = FacetElement(
 TRI6 = replace(
     TRI3,
     degree=2,
-    points=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]]),
     rule=triangle_rule(8),
     sub_facets=((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
     shares=((3, 0, 1), (4, 1, 2), (5, 2, 0)),
@@ -180,7 +180,6 @@ QUAD4 = FacetElement(
     cell="quadrilateral",
     size=4.0,
     degree=1,
-    points=_SQUARE[:4],
     rule=_gauss(3, 2),
     sub_facets=((0, 1, 2, 3),),
     order=(0, 1, 3, 2),  # dolfinx has a tensor product
@@ -189,7 +188,6 @@ QUAD4 = FacetElement(
 QUAD9 = replace(
     QUAD4,
     degree=2,
-    points=_SQUARE,
     rule=_gauss(5, 2),
     sub_facets=((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
     order=(0, 1, 3, 2, 4, 6, 7, 5, 8),

@@ -76,7 +76,7 @@ def facet_distances(a: Facets, b: Facets) -> Floats:
 
 
 def _halves(facets: Facets) -> list[Floats]:
-    x = facets.x[:, np.array(facets.element.vertices)]
+    x = facets.x[:, facets.element.vertices]
     return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
 
 
@@ -210,7 +210,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
         >>> thickness(strip, strip)
         array([1., 1., 5.])
     """
-    corners = np.array(facets.element.vertices)
+    corners = facets.element.vertices
     x, y = facets.x[:, corners], others.x[:, corners]
     n, n_other = facet_normals(facets), facet_normals(others)
     size = facet_sizes(x)

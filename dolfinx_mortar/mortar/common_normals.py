@@ -86,7 +86,7 @@ def find_spreads(
     free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
     boundary = boundary[np.flatnonzero(free)]
     nodes = boundary.nodes
-    vertices = list(boundary.facets.element.vertices)
+    vertices = boundary.facets.element.vertices
     at_vertices = nodes[:, vertices]
     S = _covariances(V, at_vertices, boundary.facets, mirrors)
     width = np.trace(S, axis1=1, axis2=2)

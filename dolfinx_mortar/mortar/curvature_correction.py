@@ -200,7 +200,7 @@ def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> Sm
 def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothSide:
     if isinstance(shape, NodeNormals):
         return SmoothSide(facets, shape, nodes, edge_sagittas(facets, shape, nodes), count)
-    at_vertices = shape[nodes[:, list(facets.element.vertices)]]
+    at_vertices = shape[nodes[:, facets.element.vertices]]
     sagitta = curved_sagittas(facets, own_curvatures(facets), at_vertices)
     return SmoothSide(facets, None, nodes, sagitta, count)
 

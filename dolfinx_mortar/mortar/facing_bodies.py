@@ -102,9 +102,9 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 
     Facets that cross at less than 45 degrees touch, as on fitting curved sides.
     """
-    size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
+    size, vertices = facet_sizes(facets.x), others.x[:, others.element.vertices]
     n, other = facet_normals(facets), facet_normals(others)
-    middle = facets.x[:, np.array(facets.element.vertices)].mean(axis=1)
+    middle = facets.x[:, facets.element.vertices].mean(axis=1)
     along = np.einsum("pi,pi->p", vertices.mean(axis=1) - middle, other)
     along /= np.einsum("pi,pi->p", n, other)
     inside = are_inside(vertices, other, middle + along[:, None] * n)
@@ -148,7 +148,7 @@ def find_faces(
     degrees.
     """
     comm = V.mesh.comm
-    ends = nodes[:, np.array(facets.element.vertices)]
+    ends = nodes[:, facets.element.vertices]
     numbers = V.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
     keys: Longs = np.asarray(numbers, dtype=np.int64).reshape(ends.shape)
     sent = comm.allgather((keys, body, facet_normals(facets)))

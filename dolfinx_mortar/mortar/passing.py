@@ -48,7 +48,7 @@ class Middles:
         """Centres and middles (k, d) of facets of finite depth."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
-        faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
+        faces = facets.x[:, own.element.vertices].mean(axis=1)
         return faces, faces - self.depth[finite, None] * facet_normals(facets)
 
 
