@@ -9,6 +9,7 @@ the projections against balls around groups of master facets.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -37,8 +38,7 @@ _SLIDING = {2: 1.0, 3: 0.35}
 """Margin over a slave facet's diameter, by dimension (cost only: candidates against searches)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Cones:
+class Cones(NamedTuple):
     """Regions that contain the projections of slave facets, or of groups of them.
 
     Points p with |lateral part of p - c| <= radius + |axial part| * slope, on both sides of c.
@@ -112,8 +112,7 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     middle = np.add.reduceat(balls[0], start) / count[:, None]
     apart = np.linalg.norm(balls[0] - middle.repeat(count, axis=0), axis=1) + balls[1]
     groups = middle, np.maximum.reduceat(apart, start) * (1 + HALF_OF_DIGITS)
-    every = cones.centre, cones.axis, cones.radius, cones.slope
-    keys = np.sort(_meeting(every, groups, balls, size, order))
+    keys = np.sort(_meeting(tuple(cones), groups, balls, size, order))
     return np.stack(np.divmod(keys, n), axis=1).astype(np.int32)
 
 

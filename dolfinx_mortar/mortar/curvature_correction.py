@@ -157,6 +157,9 @@ class SmoothSide:
     edges: Ints  # (2,) numbers of owned nodes on an edge, and without a normal
 
 
+SmoothSides: TypeAlias = tuple[SmoothSide, SmoothSide]
+
+
 @timed("~Mortar: smooth surfaces")
 def find_shape(
     surface: Surface, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
@@ -173,7 +176,7 @@ def find_smooth_sides(
     fixed: Bools,
     feature_angle: float,
     shapes: Sequence[NodeShape] = (),
-) -> tuple[SmoothSide, SmoothSide]:
+) -> SmoothSides:
     """Smooth surfaces of the slave and of the received master facets; collective."""
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
@@ -259,7 +262,7 @@ def _at(surface: Surface, facets: Facets, c: Floats, stretch: Floats | None, whi
 def find_curved(
     pairing: Pairing,
     u: Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    sides: SmoothSides,
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
     """Facets of both sides of pairs (p,), at X + u; collective.
@@ -296,7 +299,7 @@ def point_heights(
     pairing: Pairing,
     segments: Segments,
     u: Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    sides: SmoothSides,
 ) -> Floats:
     """Sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
@@ -341,7 +344,7 @@ def missed_heights(
     pairing: Pairing,
     segments: Segments,
     u: Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    sides: SmoothSides,
 ) -> Floats:
     """Fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
@@ -366,9 +369,7 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     return h + k[of] * h**2 / 2 - found
 
 
-def point_motions(
-    segments: Segments, sides: tuple[SmoothSide, SmoothSide]
-) -> Callable[[slice], Floats]:
+def point_motions(segments: Segments, sides: SmoothSides) -> Callable[[slice], Floats]:
     """Return a function: part of the points -> A_l (q, k, d, d) of offset vectors.
 
     The offset r = x_s - x_m moves with the bodies. To first order u_s = u_m + sum_l A_l u_l, with
@@ -404,7 +405,7 @@ def find_parting(
     pairing: Pairing,
     segments: Segments,
     u: Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    sides: SmoothSides,
 ) -> float:
     """Mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 

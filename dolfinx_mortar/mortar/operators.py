@@ -24,7 +24,7 @@ from dolfinx_mortar.geometry.facets import (
     tributary_weights,
 )
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
+from dolfinx_mortar.mortar.curvature_correction import SmoothSides, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (
     Coverage,
     choose_duals,
@@ -35,8 +35,6 @@ from dolfinx_mortar.mortar.duals import (
 from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products, weigh
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_triplets, pattern_of_P
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
-
-SmoothSides = tuple[SmoothSide, SmoothSide]
 
 
 @dataclass(frozen=True, eq=False)

@@ -279,8 +279,7 @@ class Boundary:
     nodes: Ints  # (m, k) local
 
     def __getitem__(self, which: Longs) -> "Boundary":
-        cells, entities, nodes = (v[which] for v in (self.cells, self.entities, self.nodes))
-        return Boundary(self.facets[which], cells, entities, nodes)
+        return Boundary(*(getattr(self, field.name)[which] for field in fields(self)))
 
     def at(self, u: Function | None) -> Facets:
         """The facets at X + u."""
@@ -433,8 +432,7 @@ def find_receivers(
     for group in (order[first : first + size] for first in range(0, len(x), size)):
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
         cones.append(create_cones(nodes, normals, margin[group].max(keepdims=True)))
-    names = (field.name for field in fields(Cones))
-    every = Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
+    every = Cones(*map(np.concatenate, zip(*cones, strict=True)))
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(every)):
