@@ -36,8 +36,8 @@ class FacetElement:
     def points(self) -> Floats:
         """Nodes (k, d-1) on the reference facet."""
         cell, equal = basix.CellType[self.cell], basix.LagrangeVariant.equispaced
-        found = basix.create_element(basix.ElementFamily.P, cell, self.degree, equal).points
-        x = np.asarray(found[list(self.order)])
+        found = basix.create_element(basix.ElementFamily.P, cell, self.degree, equal)
+        x = np.asarray(found.points)[list(self.order)]
         return x if self.cell == "triangle" else 2.0 * x - 1.0
 
     @property

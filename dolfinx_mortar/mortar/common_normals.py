@@ -7,8 +7,7 @@ facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +35,7 @@ BLUR = 1e-3
 face differ by 1e-4, of crossing edges by 0.002."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spreads:
+class Spreads(NamedTuple):
     """Spreads of normals around the nodes of contacts."""
 
     V: FunctionSpace
@@ -129,8 +127,7 @@ def _rotations(F: Floats) -> Floats:
     return U @ V
 
 
-@dataclass(frozen=True, eq=False)
-class CommonNormals:
+class CommonNormals(NamedTuple):
     """Normals at the owned slave nodes, and their derivatives."""
 
     n: Floats  # (n, d)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -146,8 +146,7 @@ def _classify(
     return NodeNormals(n, is_open & ~completed, sharp)
 
 
-@dataclass(frozen=True)
-class SmoothSide:
+class SmoothSide(NamedTuple):
     """Smooth surface over the facets of one side, at X."""
 
     facets: Facets  # (m,)

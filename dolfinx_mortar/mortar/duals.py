@@ -18,6 +18,7 @@ and D_mv = -alpha D_mm at both ends of an edge, unless the mid-side node has no 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -150,8 +151,7 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
     return Phi, inverse
 
 
-@dataclass(frozen=True, eq=False)
-class Duals:
+class Duals(NamedTuple):
     """Dual functions of slave facets (m,).
 
     Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, A =

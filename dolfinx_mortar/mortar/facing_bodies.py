@@ -6,7 +6,7 @@ body. An overlap is a negative distance.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -31,8 +31,7 @@ from dolfinx_mortar.mortar.self_contact import neighbours
 from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
 
 
-@dataclass(frozen=True, eq=False)
-class Skin:
+class Skin(NamedTuple):
     """Exterior facets of this rank."""
 
     facets: Facets  # (m,)

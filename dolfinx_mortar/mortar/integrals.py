@@ -123,7 +123,8 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
         "pi,pi->p", n[pairing.pairs[:, 0]], facet_normals(master)[pairing.pairs[:, 1]]
     )
     steep = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / np.maximum(np.abs(cosine), EPS)
-    sums = np.stack([np.bincount(on, v, count) for v in (w * steep[segments.pair], w)], axis=1)
+    columns = np.column_stack([steep[segments.pair], np.ones(len(w))])
+    sums = sums_of_values(columns, w, on, count)
     reach = _reaches(slave, least, sums, facet_sizes(facets.x))
     part = 1.0 - reach[on, 1] * (gap - reach[on, 0])
     if part.min(initial=1.0) > 1.0 - HALF_OF_DIGITS:

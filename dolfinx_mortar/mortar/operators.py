@@ -7,7 +7,7 @@ D is diagonal over the nodes with a multiplier, except at mid-side nodes that de
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +37,7 @@ from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_triplets, patt
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
 
 
-@dataclass(frozen=True, eq=False)
-class MortarOperators:
+class MortarOperators(NamedTuple):
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
     One per direction of the multipliers, as Dirichlet data allow, at the n owned slave nodes;
@@ -179,8 +178,7 @@ def mean_values(
     return total * inverse(weight)
 
 
-@dataclass(frozen=True, eq=False)
-class WholeSide:
+class WholeSide(NamedTuple):
     """A slave side and the pattern of D."""
 
     slave: Surface
@@ -193,8 +191,7 @@ class WholeSide:
     weight: Weight | None = None  # of all integrals, at X
 
 
-@dataclass(frozen=True, eq=False)
-class SideOperators:
+class SideOperators(NamedTuple):
     """D of a side, see `MortarOperators`."""
 
     segments: Segments  # whole facets

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -37,8 +38,7 @@ from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_of_bodies
 
 
-@dataclass(frozen=True)
-class Middles:
+class Middles(NamedTuple):
     """Middles of the bodies behind facets."""
 
     surface: Surface
@@ -62,8 +62,7 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
     return Middles(surface, THROUGH * depth)
 
 
-@dataclass(frozen=True)
-class SeenByTool:
+class SeenByTool(NamedTuple):
     """Motion of points relative to a rigid tool."""
 
     at: Callable[[float, Floats], Floats]  # time in (0, 1), points (.., d) -> tool's frame
@@ -252,8 +251,7 @@ TURN = 10.0
 cos(5 degrees) = 0.4 % of the radius, that of two such parts by 1.5 %."""
 
 
-@dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(NamedTuple):
     """The motion x -> R x + c."""
 
     R: Floats  # (d, d)

@@ -6,7 +6,7 @@ A node of both kinds has no multiplier. Arguments: own facets (ms,), received `c
 `deepest`, how far behind a facet its master may lie.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -22,8 +22,7 @@ REACH = 4.0
 half the distance require a new search, before they touch."""
 
 
-@dataclass(frozen=True, eq=False)
-class Roles:
+class Roles(NamedTuple):
     """Slaves and masters at a search."""
 
     slave: Bools  # (ms,) own facets
