@@ -54,6 +54,13 @@ def owned_rows(A: PETSc.Mat) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array((values, columns, start), shape=(len(start) - 1, A.getSize()[1]))
 
 
+def matrix_of(comm: MPI.Comm, rows: scipy.sparse.sparray, columns: int) -> PETSc.Mat:
+    """Matrix of owned rows with global columns, of which this rank owns some; collective."""
+    found, sizes = rows.tocsr(), ((rows.shape[0], None), (columns, None))
+    places = (v.astype(PETSc.IntType) for v in (found.indptr, found.indices))
+    return PETSc.Mat().createAIJ(sizes, csr=(*places, found.data), comm=comm)
+
+
 def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:
     """Set all values (e,) of owned rows of an assembled matrix, on its pattern; collective.
 

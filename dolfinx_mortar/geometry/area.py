@@ -272,7 +272,7 @@ def _inside(c, r, s):  # type: ignore[no-untyped-def]
 def areas(c: Floats) -> Floats:
     """Areas (t,) of triangles (t, 3, 2)."""
     u, v = c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]
-    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
+    return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
 
 
 def place_points(

@@ -46,7 +46,7 @@ class NodeNormals:
     def regular(self) -> Bools:
         """Nodes (n,) inside a surface without edge or jump of curvature."""
         smooth = ~self.open & ~self.sharp
-        return np.asarray(smooth if self.jumps is None else smooth & ~self.jumps)
+        return smooth if self.jumps is None else smooth & ~self.jumps
 
 
 def one_ring_sums(
@@ -71,7 +71,7 @@ def one_ring_sums(
         return np.repeat(chord, facets.element.nodes, axis=1), np.repeat(ends, len(x), axis=0)
     ahead, behind = (np.roll(x, turn, axis=1) - x for turn in (-1, 1))
     if n is not None and K is not None:
-        corners = np.array(facets.element.vertices)
+        corners = facets.element.vertices
         ahead, behind = (_projected(e, n[:, corners], K[:, corners]) for e in (ahead, behind))
     ahead, behind = (_divided(e, (e**2).sum(axis=2)) for e in (ahead, behind))
     normals = np.asarray(np.cross(ahead, behind), dtype=np.float64)
@@ -87,14 +87,14 @@ def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
     length = np.linalg.norm(chord, axis=1)
     ends = np.array([-1.0, 1.0])[:, None]
     along = chord[:, None] / np.maximum(length, TINY)[:, None, None]
-    return np.asarray((ends * n * along).sum(axis=2)), length
+    return (ends * n * along).sum(axis=2), length
 
 
 def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
     """Edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t tangential."""
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
-    return np.asarray(e + below[..., None] * n)
+    return e + below[..., None] * n
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
@@ -110,7 +110,7 @@ def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     result = np.where(regular[:, a] & ~regular[:, b], -2.0 * at_a, result)
     result = np.where(regular[:, b] & ~regular[:, a], 2.0 * at_b, result)
     neither = ~regular[:, a] & ~regular[:, b] & (sharp[:, a] | sharp[:, b])
-    return np.asarray(np.where(neither, 0.0, result))
+    return np.where(neither, 0.0, result)
 
 
 def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
@@ -147,7 +147,7 @@ def own_curvatures(facets: Facets) -> Floats:
     tangential = np.swapaxes(to_y, 1, 2) @ K @ to_y
     both = np.linalg.eigvalsh(tangential)
     larger = np.where(-both[:, 0] > both[:, -1], both[:, 0], both[:, -1])
-    return np.asarray(tangential + larger[:, None, None] * n[:, :, None] * n[:, None])
+    return tangential + larger[:, None, None] * n[:, :, None] * n[:, None]
 
 
 def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
@@ -171,7 +171,7 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
     halfway = element.first.shape_functions((element.points[a] + element.points[b]) / 2)
     along = np.einsum("mvij,mei,mej->mve", change, e, e)
     own = np.einsum("mij,mei,mej->me", K, e, e)
-    return np.asarray(own + 2.0 / 3.0 * share[:, None] * np.einsum("ev,mve->me", halfway, along))
+    return own + 2.0 / 3.0 * share[:, None] * np.einsum("ev,mve->me", halfway, along)
 
 
 def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
@@ -182,7 +182,7 @@ def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats
     change, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
     change -= (change * n).sum(axis=2, keepdims=True) * n
     product = change[..., :, None] * edges(facets)[..., None, :]
-    return np.asarray((product + np.swapaxes(product, 2, 3)) / 2)
+    return (product + np.swapaxes(product, 2, 3)) / 2
 
 
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
@@ -196,7 +196,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     e = edges(facets, height_element(facets.element, sagitta))
     if e.shape[2] == 2:
         t = _divided(e[:, 0], (e[:, 0] ** 2).sum(axis=1))
-        return np.asarray(sagitta[:, :1, None] * t[:, :, None] * t[:, None])
+        return sagitta[:, :1, None] * t[:, :, None] * t[:, None]
     B = _frame(facets)
     p, q = np.moveaxis(e @ B, 2, 0)
     A = np.stack([p * p, 2.0 * p * q, q * q], axis=2)
@@ -206,7 +206,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     size = EPS * np.trace(N, axis1=1, axis2=2) + TINY  # needles: regularised across
     N += size[:, None, None] * np.eye(3)
     k = np.linalg.solve(N, A_T @ sagitta[:, :, None])[:, [0, 1, 1, 2], 0]
-    return np.asarray(B @ k.reshape(-1, 2, 2) @ B.swapaxes(1, 2))
+    return B @ k.reshape(-1, 2, 2) @ B.swapaxes(1, 2)
 
 
 def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
@@ -220,7 +220,7 @@ def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
 
 def _divided(v: Floats, square: Floats) -> Floats:
     """Quotient, zero where `square` is; also for complex numbers."""
-    return np.asarray(v / np.where(square.real > 0.0, square, np.inf)[..., None])
+    return v / np.where(square.real > 0.0, square, np.inf)[..., None]
 
 
 def _frame(facets: Facets) -> Floats:
@@ -235,7 +235,7 @@ def height_table(element: FacetElement, e: int) -> Floats:
     V = np.eye(element.nodes) if of is element else of.shape_functions(element.points).T
     a, b = node_pairs(of)
     products = V[a][:, :, None] * V[b][:, None]
-    return np.asarray((products + np.swapaxes(products, 1, 2)) / 4)
+    return (products + np.swapaxes(products, 1, 2)) / 4
 
 
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
@@ -244,7 +244,7 @@ def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
     From those of one side, and curvatures (m, d, d) of the other for its own outward normal.
     """
     e = edges(facets)
-    return np.asarray(0.5 * (sagitta - np.einsum("mei,mij,mej->me", e, K_other, e)))
+    return 0.5 * (sagitta - np.einsum("mei,mij,mej->me", e, K_other, e))
 
 
 def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
@@ -258,7 +258,7 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
     element = height_element(facets.element, sagitta)
     a, b = node_pairs(element)
     N = element.shape_functions(xi)
-    return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], sagitta[which]))
+    return 0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], sagitta[which])
 
 
 def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
@@ -286,13 +286,13 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     [0.2]
     """
     k, square = arcs.T
-    return np.asarray(2.0 * h / (np.sqrt(square) + np.sqrt(square + 2.0 * k * h)))
+    return 2.0 * h / (np.sqrt(square) + np.sqrt(square + 2.0 * k * h))
 
 
 def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
     """Edges x_b - x_a (m, e, d) for the pairs of vertices, or of nodes of `element`."""
     a, b = node_pairs(element or facets.element.first)
-    return np.asarray(facets.x[:, b] - facets.x[:, a])
+    return facets.x[:, b] - facets.x[:, a]
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:

@@ -24,7 +24,6 @@ class FacetElement:
     cell: str  # dolfinx's name of the reference facet
     size: float  # length or area of the reference facet
     degree: int  # of the displacement along an edge
-    points: Floats  # (k, d-1) nodes on the reference facet
     rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1
     sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in 3D
     order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
@@ -33,10 +32,18 @@ class FacetElement:
     # mid-side nodes and the ends of their edges
     shares: tuple[tuple[int, int, int], ...] = ()
 
+    @cached_property
+    def points(self) -> Floats:
+        """Nodes (k, d-1) on the reference facet."""
+        cell, equal = basix.CellType[self.cell], basix.LagrangeVariant.equispaced
+        found = basix.create_element(basix.ElementFamily.P, cell, self.degree, equal)
+        x = np.asarray(found.points)[list(self.order)]
+        return x if self.cell == "triangle" else 2.0 * x - 1.0
+
     @property
     def nodes(self) -> int:
         """Number of nodes k."""
-        return len(self.points)
+        return len(self.order)
 
     @property
     def first(self) -> FacetElement:
@@ -69,9 +76,9 @@ class FacetElement:
         >>> LINE3.shape_functions(np.array([[0.5]]))
         array([[-0.125,  0.375,  0.75 ]])
         """
-        a, b = self.degree + 1, self.degree * (xi.shape[1] - 1) + 1
-        table = self.table.reshape(-1, 3, 3)[:, :a, :b]
-        return np.asarray((table.reshape(-1, a * b) @ powers(xi, self.degree)).T)
+        n, e = self.degree + 1, xi.shape[1]
+        table = self.table.reshape(-1, *e * [3])[:, *e * [slice(n)]]
+        return (table.reshape(-1, n**e) @ powers(xi, n)).T
 
     def functions(self, xi: Floats) -> tuple[Floats, Floats, Floats]:
         """Values N (.., k) at xi (.., d-1), dN (.., d-1, k) and ddN (.., d-1, d-1, k).
@@ -80,55 +87,49 @@ class FacetElement:
         [[[0.0, 1.0, -1.0]]]
         """
         e, k = xi.shape[-1], self.nodes
-        found = (self.slopes @ powers(xi.reshape(-1, e), 2)).T
+        found = (self.slopes @ powers(xi.reshape(-1, e))).T
         found = found.reshape(*xi.shape[:-1], len(self.slopes))
         N, first, second = np.split(found, [k, k + k * e], axis=-1)
         return N, first.reshape(*xi.shape, k), second.reshape(*xi.shape, e, k)
 
     @cached_property
     def table(self) -> Floats:
-        """Coefficients (k, 9) of the shape functions: of xi^a eta^b at 3 a + b.
+        """Coefficients (k, 3^(d-1)) of the shape functions, see `powers`.
 
         >>> TRI3.table[:, [0, 1, 3]].tolist()
         [[1.0, -1.0, -1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
         """
-        a, b = (i.ravel() for i in np.indices((3, 3)))
-        order = np.maximum(a, b) if self.bilinear else a + b
-        mine = (order <= self.degree) & ((self.points.shape[1] == 2) | (b == 0))
-        found = np.zeros((self.nodes, 9))
+        e = self.points.shape[1]
+        exponents = np.indices(e * [3]).reshape(e, -1)
+        order = exponents.max(axis=0) if self.bilinear else exponents.sum(axis=0)
+        mine, found = order <= self.degree, np.zeros((self.nodes, len(order)))
         found[:, mine] = np.linalg.inv(powers(self.points)[mine]).round(12) + 0.0  # n / 4
         return found
 
     @cached_property
     def slopes(self) -> Floats:
-        """Coefficients (n, 9), (n, 3) in the plane, of N and its first and second derivatives."""
+        """Coefficients (n, 3^(d-1)) of N and its first and second derivatives."""
         one, by = np.eye(3), np.diag([1.0, 2.0], -1)  # of the powers of one coordinate
-        both = [np.kron(by, one), np.kron(one, by)][: self.points.shape[1]]
+        both = [np.kron(by, one), np.kron(one, by)] if self.points.shape[1] == 2 else [by]
         first = [self.table @ D for D in both]
-        found = np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
-        return found[:, :: 3 if len(both) == 1 else 1]
+        return np.concatenate([self.table, *first, *(f @ D for f in first for D in both)])
 
 
-def powers(xi: Floats, degree: int | None = None) -> Floats:
-    """Products xi^a eta^b (n, q) for xi (q, d-1); without a degree a, b <= 2, eta = 0 in the plane.
+def powers(xi: Floats, n: int = 3) -> Floats:
+    """First powers xi^a (n, q) of coordinates (q, 1), or xi^a eta^b (n^2, q) of (q, 2).
 
-    >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]]), 2).T.tolist()
+    >>> powers(np.array([[2.0, 3.0]])).T.tolist(), powers(np.array([[2.0]])).T.tolist()
     ([[1.0, 3.0, 9.0, 2.0, 6.0, 18.0, 4.0, 12.0, 36.0]], [[1.0, 2.0, 4.0]])
     """
-    one, n = np.ones(len(xi)), 3 if degree is None else degree + 1
-    r, s = ([one, v, v * v][:n] for v in (*xi.T, 0.0 * one)[:2])
-    s = s[:1] if degree is not None and xi.shape[1] == 1 else s
-    return np.stack([x * y for x in r for y in s])
-
-
-_SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1], [0, -1], [1, 0], [0, 1], [-1, 0], [0, 0]])
+    first, *others = (np.stack([np.ones(len(xi)), v, v * v][:n]) for v in xi.T)
+    return (first[:, None] * others[0]).reshape(n * n, len(xi)) if others else first
 
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
     """Gauss points and weights, sum 1."""
     points, weights = leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
-    return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
+    return xi, (reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
@@ -142,7 +143,6 @@ LINE2 = FacetElement(
     cell="interval",
     size=2.0,
     degree=1,
-    points=np.array([[-1.0], [1.0]]),
     rule=_gauss(2, 1),  # exact also with a linear weight such as 2 pi r
     sub_facets=((0, 1),),
     order=(0, 1),
@@ -151,7 +151,6 @@ LINE2 = FacetElement(
 LINE3 = replace(
     LINE2,
     degree=2,
-    points=np.array([[-1.0], [1.0], [0.0]]),
     rule=_gauss(5, 1),
     sub_facets=((0, 2), (2, 1)),
     order=(0, 1, 2),
@@ -162,8 +161,7 @@ TRI3 = FacetElement(
     cell="triangle",
     size=0.5,
     degree=1,
-    points=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
-    rule=(np.full((1, 2), 1 / 3), np.ones(1)),
+    rule=triangle_rule(1),
     sub_facets=((0, 1, 2),),
     order=(0, 1, 2),
     mirrored=(2, 1, 0),
@@ -171,7 +169,6 @@ TRI3 = FacetElement(
 TRI6 = replace(
     TRI3,
     degree=2,
-    points=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]]),
     rule=triangle_rule(8),
     sub_facets=((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
     shares=((3, 0, 1), (4, 1, 2), (5, 2, 0)),
@@ -183,7 +180,6 @@ QUAD4 = FacetElement(
     cell="quadrilateral",
     size=4.0,
     degree=1,
-    points=_SQUARE[:4],
     rule=_gauss(3, 2),
     sub_facets=((0, 1, 2, 3),),
     order=(0, 1, 3, 2),  # dolfinx has a tensor product
@@ -192,7 +188,6 @@ QUAD4 = FacetElement(
 QUAD9 = replace(
     QUAD4,
     degree=2,
-    points=_SQUARE,
     rule=_gauss(5, 2),
     sub_facets=((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
     order=(0, 1, 3, 2, 4, 6, 7, 5, 8),
@@ -253,7 +248,7 @@ def facet_normals(facets: Facets) -> Floats:
 def unit(v: Floats) -> Floats:
     """Vectors (.., d) of length one, zero for zero; complex ones by the real formula."""
     size = np.sqrt((v * v).sum(axis=-1))
-    return np.asarray(v / np.where(size.real > 0.0, size, np.inf)[..., None])
+    return v / np.where(size.real > 0.0, size, np.inf)[..., None]
 
 
 def normals_at_nodes(facets: Facets) -> Floats:
@@ -264,7 +259,7 @@ def normals_at_nodes(facets: Facets) -> Floats:
 def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
     """Points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
     N = facets.element.shape_functions(xi)
-    return np.asarray(np.einsum("ql,qli->qi", N, facets.x[which]))
+    return np.einsum("ql,qli->qi", N, facets.x[which])
 
 
 def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
@@ -281,7 +276,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     dN = facets.element.functions(xi)[1]
     dual, normal = dual_basis(dN @ facets.x[which])
     size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
-    return np.swapaxes(dN, 1, 2) @ dual, np.asarray(normal / size[:, None])
+    return np.swapaxes(dN, 1, 2) @ dual, (normal / size[:, None])
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
@@ -326,7 +321,7 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
     inward = edges if x.shape[2] == 2 else np.cross(n[:, None], edges)
     inside = np.einsum("mki,mki->mk", inward, p[:, None] - x)
     least = -HALF_OF_DIGITS * facet_sizes(x) ** 2
-    return np.asarray(inside.min(axis=1, initial=np.inf) >= least)
+    return inside.min(axis=1, initial=np.inf) >= least
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
@@ -347,7 +342,7 @@ def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
     N = facets.element.shape_functions(points)
     jacobians = np.linalg.norm(scaled_normals(facets, points), axis=2)
     weights = jacobians * weights
-    return np.asarray((weights if factor is None else weights * factor) @ N)
+    return (weights if factor is None else weights * factor) @ N
 
 
 def distortions(facets: Facets) -> Floats:

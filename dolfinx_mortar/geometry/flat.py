@@ -56,14 +56,14 @@ def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
     t = np.where(skew, (b * f - c * e) / np.where(skew, angle, 1.0), 0.0).clip(0.0, 1.0)
     u = ((b * t + f) / e).clip(0.0, 1.0)
     t = ((b * u - c) / a).clip(0.0, 1.0)
-    return np.asarray(((apart + t[:, None] * v - u[:, None] * w) ** 2).sum(axis=1))
+    return ((apart + t[:, None] * v - u[:, None] * w) ** 2).sum(axis=1)
 
 
 def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
     before, after = (np.einsum("mi,mi->m", end - x[:, 0], n) for end in (p, q))
     crosses = before * after < 0.0
     share = before / np.where(crosses, before - after, 1.0)
-    return np.asarray(crosses & are_inside(x, n, p + share[:, None] * (q - p)))
+    return crosses & are_inside(x, n, p + share[:, None] * (q - p))
 
 
 def facet_distances(a: Facets, b: Facets) -> Floats:
@@ -76,7 +76,7 @@ def facet_distances(a: Facets, b: Facets) -> Floats:
 
 
 def _halves(facets: Facets) -> list[Floats]:
-    x = facets.x[:, np.array(facets.element.vertices)]
+    x = facets.x[:, facets.element.vertices]
     return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
 
 
@@ -210,7 +210,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
         >>> thickness(strip, strip)
         array([1., 1., 5.])
     """
-    corners = np.array(facets.element.vertices)
+    corners = facets.element.vertices
     x, y = facets.x[:, corners], others.x[:, corners]
     n, n_other = facet_normals(facets), facet_normals(others)
     size = facet_sizes(x)

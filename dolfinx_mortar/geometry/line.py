@@ -93,14 +93,6 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
 
 
 @numba.njit(**KERNEL)
-def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
-    while count > 0 and cuts[count - 1] > value:
-        cuts[count] = cuts[count - 1]
-        count -= 1
-    cuts[count] = value
-
-
-@numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
     """Append one slave facet's disjoint segments; return the count."""
     p, c, start = last - first, 0, q
@@ -114,9 +106,9 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
         if (b - a) > 8 * ROUND_OFF:
             low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
             most[c] = deepest[r]
-            _insert(cuts, 2 * c, a)
-            _insert(cuts, 2 * c + 1, b)
+            cuts[2 * c], cuts[2 * c + 1] = a, b
             c += 1
+    cuts[: 2 * c].sort()
     for i in range(2 * c - 1):
         a, b = cuts[i], cuts[i + 1]
         if (b - a) <= 8 * ROUND_OFF:
@@ -213,7 +205,7 @@ def moments(
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
@@ -245,7 +237,7 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
-    return np.asarray(element.table[:, ::3].T @ v)
+    return element.table.T @ v
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:

@@ -6,7 +6,6 @@
 with the functions N of both sides, and the heights h of smooth surfaces.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -106,12 +105,6 @@ def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, 
     return v @ f, changes
 
 
-def sums(N: Floats, x: Floats) -> Floats:
-    """Sums of N_k x_k (s, q, .., d) for N (s, q, .., k) and nodes x (s, k, d)."""
-    rows = N.reshape(len(x), math.prod(N.shape[1:-1]), x.shape[1])
-    return (rows @ x).reshape(*N.shape[:-1], x.shape[2])
-
-
 def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
     """Normals n (m, d) of facets x (m, k, d), and g (m, k, d): dn = -sum_a g_a (n.dx_a).
 
@@ -159,11 +152,11 @@ def create_points(
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
-    T, U, apart = sums(dN, x), sums(dM, y), sums(M, y) - sums(N, x)
+    T, U, apart = dN @ x[:, None], dM @ y[:, None], M @ y - N @ x
     dual, _ = dual_basis(T)
-    scale = sums(N, factor)
-    by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
-    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
+    scale = N @ factor
+    by_s = (dual[:, :, None] * (ddN @ x[:, None, None])).sum(axis=(3, 4))
+    by_s += (dN @ factor[:, None])[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
     weight = weight * scale[..., 0]
     h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
     for i, one in enumerate(own if heights[0].size else ()):
@@ -404,8 +397,8 @@ def _add_edges(
     points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
     share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
     share = np.stack([1.0 - share, share], axis=2)
-    N = sums(_of_parts(over.slave.element, part, inner.xi), _scattered(over.slave.element, part))
-    h = (share @ lines - sums(N, inner.x[:, :k])) @ n[:, :, None]
+    N = _of_parts(over.slave.element, part, inner.xi) @ _scattered(over.slave.element, part)
+    h = (share @ lines - N @ inner.x[:, :k]) @ n[:, :, None]
     outwards = ((way[:, ::-1] * [1.0, -1.0] / radius[:, None])[:, None] @ u)[:, None]
     by_x = (h * (g @ outwards[:, 0, 0, :, None])[:, None, :, 0])[..., None] * n[:, None, None]
     by = np.concatenate([by_x - N[..., None] * outwards, share[..., None] * outwards], axis=2)

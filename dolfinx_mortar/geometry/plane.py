@@ -334,4 +334,4 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
     near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
-    return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)
+    return np.bincount(of, near, minlength=len(pairs)) > 0

@@ -9,6 +9,7 @@ the projections against balls around groups of master facets.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -37,8 +38,7 @@ _SLIDING = {2: 1.0, 3: 0.35}
 """Margin over a slave facet's diameter, by dimension (cost only: candidates against searches)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Cones:
+class Cones(NamedTuple):
     """Regions that contain the projections of slave facets, or of groups of them.
 
     Points p with |lateral part of p - c| <= radius + |axial part| * slope, on both sides of c.
@@ -82,26 +82,17 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _meeting(cones, groups, balls, size):  # type: ignore[no-untyped-def]
-    """All pairs (cone, ball) that can meet; each group is around `size` balls."""
-    n = len(cones[0])
-    pairs, p = np.empty((8 * (n + len(balls[0])) + 64, 2), np.int32), 0
-    for s in range(n):
+def _meeting(cones, groups, balls, size, order):  # type: ignore[no-untyped-def]
+    """Cone times number of balls plus ball, of all that can meet; groups are around `size`."""
+    n, found = len(order), [np.int64(0) for _ in range(0)]
+    for s in range(len(cones[0])):
         c, a, r, t = cones[0][s], cones[1][s], cones[2][s], cones[3][s]
         for g in range(len(groups[0])):
-            if not _meets(c, a, r, t, groups[0][g], groups[1][g]):
-                continue
-            for k in range(g * size, min((g + 1) * size, len(balls[0]))):
-                if not _meets(c, a, r, t, balls[0][k], balls[1][k]):
-                    continue
-                if p == len(pairs):
-                    longer = np.empty((2 * p, 2), dtype=np.int32)
-                    for i in range(p):
-                        longer[i, 0], longer[i, 1] = pairs[i, 0], pairs[i, 1]
-                    pairs = longer
-                pairs[p, 0], pairs[p, 1] = s, k
-                p += 1
-    return pairs[:p]
+            if _meets(c, a, r, t, groups[0][g], groups[1][g]):
+                for k in range(g * size, min((g + 1) * size, n)):
+                    if _meets(c, a, r, t, balls[0][k], balls[1][k]):
+                        found.append(s * n + order[k])
+    return np.array(found)
 
 
 def groups_in_space(x: Floats) -> tuple[Longs, int]:
@@ -121,9 +112,7 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats) -> Ints:
     middle = np.add.reduceat(balls[0], start) / count[:, None]
     apart = np.linalg.norm(balls[0] - middle.repeat(count, axis=0), axis=1) + balls[1]
     groups = middle, np.maximum.reduceat(apart, start) * (1 + HALF_OF_DIGITS)
-    every = cones.centre, cones.axis, cones.radius, cones.slope
-    pairs = _meeting(every, groups, balls, size)
-    keys = np.sort(pairs[:, 0].astype(np.int64) * n + order[pairs[:, 1]])
+    keys = np.sort(_meeting(tuple(cones), groups, balls, size, order))
     return np.stack(np.divmod(keys, n), axis=1).astype(np.int32)
 
 
@@ -172,7 +161,7 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
     v = len(slave.element.vertices)
     control = 2 * n_s[:, v:] - n_s[:, :v].mean(axis=1, keepdims=True)  # of the Bezier curve
     n_s = np.concatenate([n_s[:, :v], control], axis=1)
-    return np.asarray(n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY))
+    return n_s / np.maximum(np.linalg.norm(n_s, axis=2, keepdims=True), TINY)
 
 
 def sliding_margins(x_s: Floats) -> Floats:

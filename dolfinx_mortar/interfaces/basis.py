@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.congruence import ProductOfBases
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
@@ -64,7 +64,7 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
     """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
     columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
     counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
-    leant_on = np.asarray(counts[:, 0] > 0)
+    leant_on = counts[:, 0] > 0
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
 
@@ -101,7 +101,7 @@ def _common(
         n[side.nodes] = nodal_normals(side.slave, side.slave.X)[: side.slave.owned]
     angles = np.radians([interface.feature_angle for interface in interfaces])
     one_face = (of_sides * of_sides[owner, own]).sum(axis=2) > np.cos(angles)[:, None]
-    return np.asarray(whole & whole[owner, own] & one_face)
+    return whole & whole[owner, own] & one_face
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
@@ -113,7 +113,7 @@ def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Boo
     lost[sides.nodes] = coverage.faces & (
         ~common[sides.nodes] | (sum_at_nodes(slave, alone)[: slave.owned, 0] > 0)
     )
-    return np.asarray(lost & banned)
+    return lost & banned
 
 
 def resolve_claims(
@@ -140,7 +140,7 @@ def resolve_claims(
 
     def dependent(i: int, k: int) -> Bools:
         leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
-        return np.asarray(leant_on & slaves[k] & ~banned[k])
+        return leant_on & slaves[k] & ~banned[k]
 
     def remove(k: int, nodes: Bools, why: str) -> None:
         note(k, nodes, why)
@@ -199,7 +199,7 @@ def notes_on_splits(
     interfaces: Sequence[Interface],
     sides: Sequence[Sides],
     coverage: Sequence[Coverage],
-    displacements: Sequence[fem.Function | None],
+    displacements: Sequence[Function | None],
 ) -> list[str]:
     """Notes on facets of two slave sides below one master; collective."""
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
@@ -222,7 +222,7 @@ def notes_on_splits(
     return notes
 
 
-def _beside(side: Sides, other: Sides, u: fem.Function | None) -> int:
+def _beside(side: Sides, other: Sides, u: Function | None) -> int:
     """Number of facets at the other slave side that only its master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
@@ -241,7 +241,7 @@ def _beside(side: Sides, other: Sides, u: fem.Function | None) -> int:
 class Transformation:
     """T and T^T K T on the patterns of the pairings."""
 
-    def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
+    def __init__(self, V: FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # without chains one matrix saves products
         self.claims = claims
         groups = [[i] for i in claims.order] if self.chained else [list(claims.order)]
@@ -339,7 +339,7 @@ class _Factor:
 
     def __init__(
         self,
-        V: fem.FunctionSpace,
+        V: FunctionSpace,
         links: Sequence[Link],
         members: list[int],
         dependent: bool | None = None,
@@ -414,7 +414,7 @@ def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
     return total
 
 
-def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
+def _create(V: FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
     blocks = create_blocks(V, rows, columns)
     blocks.fill(values)

@@ -22,7 +22,7 @@ import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
-from dolfinx_mortar.algebra.csr import owned_rows
+from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
 from dolfinx_mortar.interfaces.link import Link
@@ -105,9 +105,7 @@ def _matrix(link: Link, rows: scipy.sparse.csr_array, like: PETSc.Mat) -> PETSc.
     found, sizes, d = rows.tocoo(), like.getSizes(), link.coupling.R.shape[1]
     dofs = (d * link.nodes[:, None] + np.arange(d)).ravel()
     at, shape = (dofs[found.row], found.col), (sizes[0][0], sizes[1][1])
-    whole = scipy.sparse.coo_array((found.data, at), shape).tocsr()
-    start, columns = (v.astype(PETSc.IntType) for v in (whole.indptr, whole.indices))
-    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, whole.data), comm=like.comm)
+    return matrix_of(like.comm, scipy.sparse.coo_array((found.data, at), shape), sizes[1][0])
 
 
 def _trial(

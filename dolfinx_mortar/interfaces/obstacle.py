@@ -220,7 +220,7 @@ class Obstacle(Movable, Unilateral):
             sides.fixed[sides.nodes],
             kept,
             tangential=self.law is not None,
-            weight=np.where(kept, found.weight, 0.0),
+            weight=found.weight,
             heights=np.where(kept[:, 0], heights, 0.0),
             coverage=replace(found.coverage, near=near[own]),
         )

@@ -66,7 +66,7 @@ class Partners:
         cosine = (self.normals * link.coupling.normals).sum(axis=1)
         tilt = (self.along * link.coupling.normals).sum(axis=1) / np.maximum(1.0 + cosine, EPS)
         whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
-        return np.asarray(whole + tilt[:, None] * both)
+        return whole + tilt[:, None] * both
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
         """Derivatives (n, d, d) of the motion by that of x_j - P x and by n, along tangents."""
@@ -154,10 +154,10 @@ class ToolPartners(Partners):
         if self.frozen:
             middle = (now.position + self.began.position) / 2
             way = spun(self.at - middle, turn_between(self.began, now))
-            return np.asarray(moved - way - (now.position - self.began.position))
+            return moved - way - (now.position - self.began.position)
         chord, start, end = self._arcs(link, self.at + moved)
         motion = chord - _rise(chord, start, end)[:, None] * start
-        return np.asarray(motion - (motion * end).sum(axis=1)[:, None] * end)
+        return motion - (motion * end).sum(axis=1)[:, None] * end
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
         """See `Partners`."""
@@ -191,4 +191,4 @@ def _rise(chord: Floats, start: Floats, end: Floats) -> Floats:
     w = np.sqrt(np.where(straight, 1.0, z))
     f = np.where(straight, 1 + z / 24, 2 * np.arctan(w / h) / w)
     K = np.where(straight, 1 / 24 + 3 / 640 * z, (f - 1) / w**2) + f / (h * (2 + h))
-    return np.asarray((chord * both).sum(axis=1) / h**2 + K * (chord * apart).sum(axis=1))
+    return (chord * both).sum(axis=1) / h**2 + K * (chord * apart).sum(axis=1)

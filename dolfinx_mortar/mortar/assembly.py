@@ -16,7 +16,8 @@ import numpy as np
 import scipy
 
 import dolfinx
-from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx.fem import Function, FunctionSpace
+from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arrays import Floats, Ints, Longs
@@ -69,9 +70,7 @@ class _Cells(NamedTuple):
     dofs: Longs
 
 
-def _find_cells(
-    V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
-) -> _Cells:
+def _find_cells(V: FunctionSpace, side: Surface, u: Function | None, name: str) -> _Cells:
     W, d, cells = side.V, side.X.shape[1], cells_of(side)
     nodes = W.dofmap.list[cells]
     of_facets = side.nodes[side.facets]
@@ -101,17 +100,17 @@ def _place(x: Floats) -> str:
     return ", ".join(f"{v:.4g}" for v in x.mean(axis=0))
 
 
-def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
+def _tabulate(V: FunctionSpace, xi: Floats) -> Floats:
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
-    return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
+    return V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0]
 
 
 def _evaluate(
-    V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
+    V: FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
-    nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
+    nodes = (W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
     of_W, of_V = _tabulate(W, xi), _tabulate(V, xi)
     x = np.einsum("nk,nki->ni", of_W[0], cells.x[which])
@@ -121,12 +120,12 @@ def _evaluate(
 
 
 def segments(
-    V: dolfinx.fem.FunctionSpace,
+    V: FunctionSpace,
     facet_tags: dolfinx.mesh.MeshTags,
     *,
     slave: int | str,
     master: int | str,
-    u: dolfinx.fem.Function | None = None,
+    u: Function | None = None,
 ) -> Segments:
     """Return the points for integrals over an interface of non-matching meshes (collective).
 
@@ -205,35 +204,28 @@ class Mortar:
     nodes: Longs  # (m_I of this rank,) global nodes in the order of the rows
 
 
-def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
-    start, columns, values = csr_of(A)
-    shape = (index_map.size_local, index_map.size_global)
-    expanded = scipy.sparse.kron(
-        scipy.sparse.csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr"
-    )
-    indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))
-    sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
-    return PETSc.Mat().createAIJ(sizes, csr=(*indices, expanded.data), comm=V.mesh.comm)
+def _expand_rows(A: PETSc.Mat, rows: Ints, V: FunctionSpace) -> PETSc.Mat:
+    d = V.dofmap.index_map_bs
+    expanded = scipy.sparse.kron(owned_rows(A)[rows], np.eye(d), "csr")
+    return matrix_of(V.mesh.comm, expanded, d * V.dofmap.index_map.size_local)
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
     """N (d * m, m) of eq. 17, for normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
-    columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
-    start = np.arange(m * d + 1, dtype=PETSc.IntType)
-    sizes = ((m * d, None), (m, None))
-    return PETSc.Mat().createAIJ(sizes, csr=(start, columns, normals.ravel()), comm=comm)
+    places = first + np.arange(m).repeat(d), np.arange(m * d + 1)
+    rows = scipy.sparse.csr_array((normals.ravel(), *places), shape=(m * d, first + m))
+    return matrix_of(comm, rows, m)
 
 
 def assemble_mortar(
-    V: dolfinx.fem.FunctionSpace,
+    V: FunctionSpace,
     facet_tags: dolfinx.mesh.MeshTags,
     *,
     slave: int | str,
     master: int | str,
-    u: dolfinx.fem.Function | None = None,
+    u: Function | None = None,
     weight: Weight | None = None,
     feature_angle: float | None = None,
 ) -> Mortar:

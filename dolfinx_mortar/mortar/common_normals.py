@@ -7,12 +7,11 @@ facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dolfinx import fem
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import STEP
@@ -36,11 +35,10 @@ BLUR = 1e-3
 face differ by 1e-4, of crossing edges by 0.002."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spreads:
+class Spreads(NamedTuple):
     """Spreads of normals around the nodes of contacts."""
 
-    V: fem.FunctionSpace
+    V: FunctionSpace
     nodes: Ints  # (s,) local nodes, ascending
     S: Floats  # (s, d, d) S + eps I at X
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
@@ -49,7 +47,7 @@ class Spreads:
     gradients: Floats  # (m, k, d) of N at facets' centres at X
     normals: Floats  # (m, d) at these
 
-    def at(self, u: fem.Function | None) -> Floats:
+    def at(self, u: Function | None) -> Floats:
         """Spreads S + eps I (s, d, d) at X + u, turned by the rotations of dx/dX; collective."""
         S, d = self.S.copy(), self.S.shape[1]
         if u is None:
@@ -86,7 +84,7 @@ def find_spreads(
     free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
     boundary = boundary[np.flatnonzero(free)]
     nodes = boundary.nodes
-    vertices = list(boundary.facets.element.vertices)
+    vertices = boundary.facets.element.vertices
     at_vertices = nodes[:, vertices]
     S = _covariances(V, at_vertices, boundary.facets, mirrors)
     width = np.trace(S, axis1=1, axis2=2)
@@ -113,7 +111,7 @@ def _with_images(S: Floats, mirrors: Bools) -> Floats:
     return np.where(off, 0.0, S)
 
 
-def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
+def _covariances(V: FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -126,11 +124,10 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 def _rotations(F: Floats) -> Floats:
     """Nearest rotations (n, d, d)."""
     U, _, V = np.linalg.svd(F)
-    return np.asarray(U @ V)
+    return U @ V
 
 
-@dataclass(frozen=True, eq=False)
-class CommonNormals:
+class CommonNormals(NamedTuple):
     """Normals at the owned slave nodes, and their derivatives."""
 
     n: Floats  # (n, d)
@@ -150,7 +147,7 @@ def common_normals(
     pairing: Pairing,
     segments: Segments,
     M: Floats,
-    u: fem.Function | None,
+    u: Function | None,
     averaged: Floats,
     spreads: Spreads,
     feature_angle: float,
@@ -205,8 +202,6 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
     """
     some: Longs = np.flatnonzero(mirrors.any(axis=1))
     n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
-    if not len(some):
-        return n, by_n
     m = np.where(mirrors[some], 0.0, n[some])
     size = np.linalg.norm(m, axis=1)[:, None, None]
     n[some] = unit(m)
@@ -218,15 +213,15 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 def carried(n: Floats, a: Floats) -> Floats:
     """Derivatives (n, d, d) of unit vectors a that turn with n."""
     along = (n * a).sum(axis=1)[:, None, None]
-    return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
+    return along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None]
 
 
 def _across(n: Floats) -> Floats:
-    return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
+    return np.eye(n.shape[1]) - n[:, :, None] * n[:, None]
 
 
 def _facing(
-    pairing: Pairing, segments: Segments, u: fem.Function | None, edged: np.bool_
+    pairing: Pairing, segments: Segments, u: Function | None, edged: np.bool_
 ) -> tuple[Floats, Floats]:
     """Sums (owned nodes, d) of w N_j n_s and w N_l n_m if there are edges; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
@@ -250,14 +245,12 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
+    return np.trace(S, axis1=1, axis2=2) > limit / 2
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
     """Normals (n, d) of a side: averaged, on edges `facing`."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
-    if not len(edged):
-        return averaged.copy()
     result, n, c = averaged.copy(), averaged[edged], unit(facing[edged])
     Q = _across(n)
     widths, axes = np.linalg.eigh(Q @ S[edged] @ Q)
@@ -274,7 +267,7 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
     """
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
     z = np.linalg.solve(A + B, (b - a)[:, :, None])
-    return np.asarray(a + (A @ z)[:, :, 0])
+    return a + (A @ z)[:, :, 0]
 
 
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-import dolfinx
 from dolfinx.common import timed
+from dolfinx.fem import Function
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, flat
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
@@ -101,7 +101,7 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
     sure = (count[ends[:, ::-1]] == 2.0) & largest
     others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
     above_round_off = size * total[:, 1] > HALF_OF_DIGITS
-    return np.asarray((size > JUMP * others) & (neighbours == 2.0) & above_round_off)
+    return (size > JUMP * others) & (neighbours == 2.0) & above_round_off
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
@@ -118,7 +118,7 @@ def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats
     K -= 0.5 * np.trace(K, axis1=1, axis2=2)[:, None, None] * tangential
     K *= known[:, None, None]
     mean = nodal_means(surface, np.column_stack([K.reshape(-1, 9), known]))
-    return np.asarray((mean[:, :-1] / np.maximum(mean[:, -1:], TINY)).reshape(-1, 3, 3))
+    return (mean[:, :-1] / np.maximum(mean[:, -1:], TINY)).reshape(-1, 3, 3)
 
 
 def _classify(
@@ -143,11 +143,10 @@ def _classify(
     counts = sum_at_nodes(surface, beyond)
     n = np.where(counts[:, 1:] > 0, 0.0, n)
     sharp = counts.max(axis=1) > 0
-    return NodeNormals(n, np.asarray(is_open & ~completed), np.asarray(sharp))
+    return NodeNormals(n, is_open & ~completed, sharp)
 
 
-@dataclass(frozen=True)
-class SmoothSide:
+class SmoothSide(NamedTuple):
     """Smooth surface over the facets of one side, at X."""
 
     facets: Facets  # (m,)
@@ -155,6 +154,9 @@ class SmoothSide:
     nodes: Ints  # (m, k) the facets' nodes
     sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, or `curved_sagittas`
     edges: Ints  # (2,) numbers of owned nodes on an edge, and without a normal
+
+
+SmoothSides: TypeAlias = tuple[SmoothSide, SmoothSide]
 
 
 @timed("~Mortar: smooth surfaces")
@@ -173,7 +175,7 @@ def find_smooth_sides(
     fixed: Bools,
     feature_angle: float,
     shapes: Sequence[NodeShape] = (),
-) -> tuple[SmoothSide, SmoothSide]:
+) -> SmoothSides:
     """Smooth surfaces of the slave and of the received master facets; collective."""
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
@@ -200,7 +202,7 @@ def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> Sm
 def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothSide:
     if isinstance(shape, NodeNormals):
         return SmoothSide(facets, shape, nodes, edge_sagittas(facets, shape, nodes), count)
-    at_vertices = shape[nodes[:, list(facets.element.vertices)]]
+    at_vertices = shape[nodes[:, facets.element.vertices]]
     sagitta = curved_sagittas(facets, own_curvatures(facets), at_vertices)
     return SmoothSide(facets, None, nodes, sagitta, count)
 
@@ -258,8 +260,8 @@ def _at(surface: Surface, facets: Facets, c: Floats, stretch: Floats | None, whi
 
 def find_curved(
     pairing: Pairing,
-    u: dolfinx.fem.Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    u: Function | None,
+    sides: SmoothSides,
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
     """Facets of both sides of pairs (p,), at X + u; collective.
@@ -278,7 +280,7 @@ def find_curved(
     )
 
 
-def _stretch(surface: Surface, u: dolfinx.fem.Function | None) -> Floats | None:
+def _stretch(surface: Surface, u: Function | None) -> Floats | None:
     """Factors (m, 1) of heights of second order; collective."""
     if u is None or surface.element.degree == 1:
         return None
@@ -295,8 +297,8 @@ def _pairs_of(segments: Segments) -> tuple[Ints, Ints]:
 def point_heights(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    u: Function | None,
+    sides: SmoothSides,
 ) -> Floats:
     """Sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
@@ -309,23 +311,21 @@ def point_heights(
     return h + b.heights(b.shared(a), of, segments.xi_m)
 
 
-def _side_at(surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None) -> Curved:
+def _side_at(surface: Surface, side: SmoothSide, u: Function | None) -> Curved:
     facets = facets_at(surface, coordinates(surface, u))
     every = np.arange(len(facets.x), dtype=np.int32)
     return _at(surface, facets, side.sagitta, _stretch(surface, u), every)
 
 
 def side_heights(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
+    surface: Surface, side: SmoothSide, u: Function | None, which: Ints, xi: Floats
 ) -> Floats:
     """Heights (q,) of a second-order side at X + u; collective."""
     at = _side_at(surface, side, u)
     return at.heights(at.sagitta, which, xi)
 
 
-def side_slopes(
-    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
-) -> Floats:
+def side_slopes(surface: Surface, side: SmoothSide, u: Function, which: Ints, xi: Floats) -> Floats:
     """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
     at = _side_at(surface, side, u)
     slopes = np.zeros((len(which), *at.facets.x.shape[1:]))
@@ -342,8 +342,8 @@ def side_slopes(
 def missed_heights(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    u: Function | None,
+    sides: SmoothSides,
 ) -> Floats:
     """Fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
@@ -365,12 +365,10 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     along = right / np.maximum(square, TINY)
     least, k = along.min(axis=1), along.max(axis=1)
     k = np.where(-least > k, least, k)
-    return np.asarray(h + k[of] * h**2 / 2 - found)
+    return h + k[of] * h**2 / 2 - found
 
 
-def point_motions(
-    segments: Segments, sides: tuple[SmoothSide, SmoothSide]
-) -> Callable[[slice], Floats]:
+def point_motions(segments: Segments, sides: SmoothSides) -> Callable[[slice], Floats]:
     """Return a function: part of the points -> A_l (q, k, d, d) of offset vectors.
 
     The offset r = x_s - x_m moves with the bodies. To first order u_s = u_m + sum_l A_l u_l, with
@@ -405,8 +403,8 @@ def point_motions(
 def find_parting(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
-    sides: tuple[SmoothSide, SmoothSide],
+    u: Function | None,
+    sides: SmoothSides,
 ) -> float:
     """Mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 

@@ -18,6 +18,7 @@ and D_mv = -alpha D_mm at both ends of an edge, unless the mid-side node has no 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -80,7 +81,7 @@ def absorbed(
     if not shares:
         return values
     kept = np.ones(values.shape, dtype=bool) if kept is None else kept
-    return np.asarray((absorbing(shares, kept) @ values[:, :, None])[:, :, 0])
+    return (absorbing(shares, kept) @ values[:, :, None])[:, :, 0]
 
 
 def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
@@ -94,96 +95,63 @@ def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
 
 
 @numba.njit(**SUMS)
-def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
-    """Replace A^T by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
-    least = 1.0
-    for j in range(len(Q)):
-        length = np.sqrt(product(Q[j], Q[j]))
+def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
+    """Fill Phi, biorthogonal to N of Q = (sqrt(w) N, I), and m^-1 if accurate, unless dependent.
+
+    Q becomes (Q, z) with Q = z sqrt(w) N and m^-1 = z^T z, row by row.
+    """
+    (k, n), least, D = Phi.shape, 1.0, np.empty(len(Q))
+    for j in range(k):
+        row = Q[j, :n]
+        length, D[j] = np.sqrt(product(row, row)), product(roots, row)
         for _ in range(2):  # the second pass is accurate to round-off
             for i in range(j):
-                r = product(Q[i], Q[j])
-                R[i, j] += r
-                add(-r, Q[i], Q[j])
-        R[j, j] = np.sqrt(product(Q[j], Q[j]))
-        if R[j, j] <= ROUND_OFF * length:
-            return 0.0
-        least = min(least, R[j, j] / length)
-        for q in range(Q.shape[1]):
-            Q[j, q] /= R[j, j]
-    return least
-
-
-@numba.njit(**SUMS)
-def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill Phi, biorthogonal to Q = sqrt(w) N (overwritten), and m^-1 if accurate."""
-    k = len(Q)
-    R, D, z = np.zeros((k, k)), np.empty(k), np.zeros((k, k))
-    for j in range(k):
-        D[j] = product(roots, Q[j])
-    least = _orthonormalise(Q, R)
-    if least == 0.0:
-        return False
+                add(-product(Q[i, :n], row), Q[i], Q[j])
+        size = np.sqrt(product(row, row))
+        if size <= ROUND_OFF * length:
+            return
+        least = min(least, size / length)
+        for q in range(n + k):
+            Q[j, q] /= size
     for j in range(k):
         for i in range(j, k):
-            z[j, i] = 1.0 if i == j else 0.0
-            for h in range(j, i):
-                z[j, i] -= R[h, i] * z[j, h]
-            z[j, i] /= R[i, i]
-            add(D[j] * z[j, i], Q[i], Phi[j])
-        for q in range(len(roots)):
+            add(D[j] * Q[i, n + j], Q[i, :n], Phi[j])
+            if least > QUARTER_OF_DIGITS:
+                add(Q[i, n + j], Q[i, n:], inverse[j])
+        for q in range(n):
             Phi[j, q] /= roots[q]
-        for i in range(j + 1 if least > QUARTER_OF_DIGITS else 0):
-            inverse[i, j] = inverse[j, i] = product(z[i], z[j])
-    return True
-
-
-@numba.njit(**SUMS)
-def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
-    roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
-    among = np.zeros((count, count))
-    for j in range(count):
-        values = N[which[j], first:last]
-        for q in range(len(roots)):
-            Q[j, q] = roots[q] * values[q]
-    if _biorthogonalise(Q, roots, found, among):
-        for j in range(count):
-            for i in range(count):
-                inverse[which[i], which[j]] = among[i, j]
-    missing = np.full(len(roots), 1.0 / count)
-    for j in range(count):
-        add(-1.0 / count, found[j], missing)
-    for j in range(count):
-        values = Phi[which[j], first:last]
-        for q in range(len(missing)):
-            values[q] = found[j, q] + missing[q]
 
 
 @numba.njit(**SUMS)
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
     """Phi (k, q) and m^-1 (m, k, k) of kept nodes; points ordered by facet."""
     Phi, inverse = np.zeros(N.shape), np.zeros((len(keep), len(N), len(N)))
-    a = np.int64(0)  # literals have another type: compiled twice
-    while a < len(slave):
-        b = a
-        while b < len(slave) and slave[b] == slave[a]:
-            b += 1
-        kept = keep[slave[a]]
-        count = np.int64(0)
-        for j in range(len(kept)):
-            count += kept[j]
-        if count == 1:  # exact also at little coverage
-            for j in range(len(kept)):
-                for q in range(a, b):
-                    Phi[j, q] = kept[j]
-        elif count > 1:
-            _facet_dual(N, weight, kept, count, a, b, Phi, inverse[slave[a]])
-        a = b
+    last = np.int64(0)  # literals have another type: compiled twice
+    while last < len(slave):
+        first, s = last, slave[last]
+        while last < len(slave) and slave[last] == s:
+            last += 1
+        roots, which = np.sqrt(weight[first:last]), np.flatnonzero(keep[s])
+        n, k = len(roots), len(which)
+        Q, found, among = np.zeros((k, n + k)), np.zeros((k, n)), np.zeros((k, k))
+        for j in range(k):
+            Q[j, n + j] = 1.0
+            for q in range(n):
+                Q[j, q] = roots[q] * N[which[j], first + q]
+        _biorthogonalise(Q, roots, found, among)
+        missing = np.full(n, 1.0 / max(k, 1))
+        for j in range(k):
+            add(-1.0 / k, found[j], missing)
+        for j in range(k):
+            for q in range(n):
+                Phi[which[j], first + q] = found[j, q] + missing[q]
+        for j in range(k):
+            for i in range(k):
+                inverse[s, which[i], which[j]] = among[i, j]
     return Phi, inverse
 
 
-@dataclass(frozen=True, eq=False)
-class Duals:
+class Duals(NamedTuple):
     """Dual functions of slave facets (m,).
 
     Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, A =
@@ -212,7 +180,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
         kept: (m, k) nodes with a multiplier.
     """
     Phi, inverse = _all_duals(np.ascontiguousarray(N.T), weight, slave, kept)
-    return Duals(np.asarray(Phi.T), kept, inverse)
+    return Duals(Phi.T, kept, inverse)
 
 
 @timed("~Mortar: node weights")
@@ -244,9 +212,7 @@ class Coverage:
     @property
     def faces(self) -> Bools:
         """Nodes (n,) with enough coverage for a multiplier."""
-        return np.asarray(
-            (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
-        )
+        return (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
 
 
 def find_coverage(
@@ -258,7 +224,7 @@ def find_coverage(
     reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
     own, (none, facets) = slice(None, slave.owned), _find_weightless(pairing, segments)
     share = np.where(none, facets, covered / np.where(none, 1.0, tributary))
-    return Coverage(np.asarray(share[own]), np.asarray(reached[own]), none[own])
+    return Coverage(share[own], reached[own], none[own])
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
@@ -271,7 +237,7 @@ def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Fl
     sizes = np.repeat(np.stack([whole.sum(axis=1), covered], axis=1)[:, None], whole.shape[1], 1)
     sums = sum_at_nodes(slave, np.concatenate([whole[:, :, None], sizes], axis=2))
     none = sums[:, 0] <= LEAST_WEIGHT * sums[:, 1]
-    return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
+    return none, sums[:, 2] / np.maximum(sums[:, 1], TINY)
 
 
 def default_keep(

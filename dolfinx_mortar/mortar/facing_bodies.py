@@ -6,7 +6,7 @@ body. An overlap is a negative distance.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
@@ -21,18 +21,17 @@ from dolfinx_mortar.geometry.facets import (
     are_inside,
     facet_normals,
     facet_sizes,
-    points_of,
 )
 from dolfinx_mortar.geometry.flat import bounds, facet_distances
-from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
+from dolfinx_mortar.geometry.segments import create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.mortar.integrals import gaps
 from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.self_contact import neighbours
 from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
 
 
-@dataclass(frozen=True, eq=False)
-class Skin:
+class Skin(NamedTuple):
     """Exterior facets of this rank."""
 
     facets: Facets  # (m,)
@@ -70,7 +69,8 @@ def find_facing(comm: MPI.Intracomm, skin: Skin) -> Facing:
     deepest = np.minimum(depth[pairs[:, 0]], behind[pairs[:, 1]])
     segments = create_segments(facets, n, others, pairs, deepest)
     area = np.bincount(segments.pair, segments.weight, minlength=len(pairs)).astype(np.float64)
-    least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
+    least = np.full(len(pairs), np.inf)
+    np.minimum.at(least, segments.pair, gaps(facets, others, pairs, segments, n[:, 0]))
     a, b = pairs.T
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
     # neighbours overlap by round-off
@@ -91,24 +91,14 @@ def find_facing(comm: MPI.Intracomm, skin: Skin) -> Facing:
     )
 
 
-def _least_gaps(
-    facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
-) -> Floats:
-    apart = points_of(others, segments.master, segments.xi_m)
-    apart -= points_of(facets, segments.slave, segments.xi_s)
-    least = np.full(count, np.inf)
-    np.minimum.at(least, segments.pair, np.einsum("qi,qi->q", apart, n[segments.slave]))
-    return least
-
-
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     """Distances (p,) of pairs, inf for a flank seen past the edge of a body.
 
     Facets that cross at less than 45 degrees touch, as on fitting curved sides.
     """
-    size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
+    size, vertices = facet_sizes(facets.x), others.x[:, others.element.vertices]
     n, other = facet_normals(facets), facet_normals(others)
-    middle = facets.x[:, np.array(facets.element.vertices)].mean(axis=1)
+    middle = facets.x[:, facets.element.vertices].mean(axis=1)
     along = np.einsum("pi,pi->p", vertices.mean(axis=1) - middle, other)
     along /= np.einsum("pi,pi->p", n, other)
     inside = are_inside(vertices, other, middle + along[:, None] * n)
@@ -124,7 +114,7 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 def are_near(facing: Facing, within: float | None) -> Bools:
     """Pairs `within` a distance, default the larger diameter."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
-    return np.asarray(facing.distance <= reach)
+    return facing.distance <= reach
 
 
 def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
@@ -152,7 +142,7 @@ def find_faces(
     degrees.
     """
     comm = V.mesh.comm
-    ends = nodes[:, np.array(facets.element.vertices)]
+    ends = nodes[:, facets.element.vertices]
     numbers = V.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
     keys: Longs = np.asarray(numbers, dtype=np.int64).reshape(ends.shape)
     sent = comm.allgather((keys, body, facet_normals(facets)))

@@ -14,8 +14,8 @@ from mpi4py import MPI
 import numba
 import numpy as np
 
-import dolfinx
 from dolfinx.common import timed
+from dolfinx.fem import Function
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -96,7 +96,7 @@ class Integrated(Protocol):
 
 
 @timed("~Mortar: segments")
-def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
+def find_segments(pairing: Pairing, u: Function | None) -> tuple[Segments, Floats]:
     """Find the segments, weighted, and the averaged slave normals (n, d) at X + u (collective)."""
     slave = pairing.slave
     x = coordinates(slave, u)
@@ -116,10 +116,15 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
-    count, N = len(facets.x), (segments.N, master.element.shape_functions(segments.xi_m))
-    at = facets.x, master.x, facet_normals(facets), facet_normals(master), on, segments.master
-    gap, least, sums = np.empty(len(on)), np.full(count, np.inf), np.zeros((count, 2))
-    _measure(gap, least, sums, *N, *at, w)
+    n, count = facet_normals(facets), len(facets.x)
+    gap, least = gaps(facets, master, pairing.pairs, segments, n), np.full(count, np.inf)
+    np.minimum.at(least, on, gap)
+    cosine = np.einsum(
+        "pi,pi->p", n[pairing.pairs[:, 0]], facet_normals(master)[pairing.pairs[:, 1]]
+    )
+    steep = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / np.maximum(np.abs(cosine), EPS)
+    columns = np.column_stack([steep[segments.pair], np.ones(len(w))])
+    sums = sums_of_values(columns, w, on, count)
     reach = _reaches(slave, least, sums, facet_sizes(facets.x))
     part = 1.0 - reach[on, 1] * (gap - reach[on, 0])
     if part.min(initial=1.0) > 1.0 - HALF_OF_DIGITS:
@@ -130,24 +135,12 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     return some_points(segments, some[segments.pair])
 
 
-@numba.njit(cache=True)
-def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weight):  # type: ignore[no-untyped-def]
-    """Fill gaps (q,) along normals, least ones (m,), sums (m, 2) of w |tan a|, w."""
-    for q in range(len(slave)):
-        s, m = slave[q], master[q]
-        gap[q], cosine = 0.0, 0.0
-        for i in range(x_s.shape[2]):
-            apart = 0.0
-            for k in range(N_m.shape[1]):
-                apart += N_m[q, k] * x_m[m, k, i]
-            for k in range(N_s.shape[1]):
-                apart -= N_s[q, k] * x_s[s, k, i]
-            gap[q] += apart * n_s[s, i]
-            cosine += n_s[s, i] * n_m[m, i]
-        least[s] = min(least[s], gap[q])
-        sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
-        sums[s, 0] += weight[q] * sine / max(abs(cosine), EPS)
-        sums[s, 1] += weight[q]
+def gaps(facets: Facets, master: Facets, pairs: Ints, segments: Segments, n: Floats) -> Floats:
+    """Gaps (q,) at points of pairs (p, 2) along normals n (m, d) of the facets."""
+    heights = np.einsum("mki,mi->mk", facets.x, n)[segments.slave]
+    above = np.einsum("pki,pi->pk", master.x[pairs[:, 1]], n[pairs[:, 0]])[segments.pair]
+    N = master.element.shape_functions(segments.xi_m)
+    return np.einsum("qk,qk->q", N, above) - np.einsum("qk,qk->q", segments.N, heights)
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
@@ -162,7 +155,7 @@ def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Float
 
 
 def point_distances(
-    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
+    pairing: Pairing, segments: Segments, u: Function | None
 ) -> tuple[Floats, Floats]:
     """Distances |x_s - x_m| (q,), and the larger diameter (q,) at X of both facets (collective)."""
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
@@ -177,7 +170,7 @@ def point_distances(
 def drop_far(
     pairing: Pairing,
     segments: Segments,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     reach: Callable[[Floats, float], Floats],
 ) -> Segments:
     """The segments without pairs that are too far apart as a whole (collective).
@@ -202,10 +195,9 @@ def weigh(slave: Surface, weight: Weight | None, segments: Segments, facets: Fac
     """The segments with a weight, taken at X, where it is positive."""
     if weight is None:
         return segments
-    at_X, xi = facets_at(slave, slave.X), facets.element.rule[0]
-    which = np.repeat(np.arange(len(facets.x), dtype=np.int32), len(xi))
-    points = points_of(at_X, which, np.tile(xi, (len(facets.x), 1)))
-    whole = weight(points).reshape(len(facets.x), len(xi))
+    at_X = facets_at(slave, slave.X)
+    points = facets.element.shape_functions(facets.element.rule[0]) @ at_X.x
+    whole = weight(points.reshape(-1, points.shape[2])).reshape(points.shape[:2])
     return replace(
         segments,
         weight=segments.weight * weight(points_of(at_X, segments.slave, segments.xi_s)),

@@ -27,7 +27,7 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
     means of the vertices. Edges of more than `feature_angle` degrees have no curvature.
     """
     n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
-    closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)
+    closed = np.linalg.norm(gap, axis=1) <= limit
     tilt, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
     for i in range(fixed.shape[1]):
         some = fixed[surface.facets, i].any(axis=1)
@@ -40,7 +40,7 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
 def _judge(
     side: Surface, n: Floats, closed: Bools, fixed: Bools, i: int, feature_angle: float
 ) -> tuple[Bools, Floats]:
-    vertices = side.facets[:, list(side.element.vertices)]
+    vertices = side.facets[:, side.element.vertices]
     held, n_f = fixed[vertices], facet_normals(facets_at(side, side.X))
     weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone
     cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
@@ -66,7 +66,7 @@ def _judge(
 
 def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
     """Normals (n, d) by chords at some nodes, else n; collective."""
-    corners, d = list(side.element.vertices), n.shape[1]
+    corners, d = side.element.vertices, n.shape[1]
     ends = side.facets[:, corners]
     x = side.X[ends]
     t = unit(x[:, None] - x[:, :, None])  # (m, v, v, d) from j to k

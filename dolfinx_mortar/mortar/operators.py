@@ -7,7 +7,7 @@ D is diagonal over the nodes with a multiplier, except at mid-side nodes that de
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from dolfinx_mortar.geometry.facets import (
     tributary_weights,
 )
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
+from dolfinx_mortar.mortar.curvature_correction import SmoothSides, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (
     Coverage,
     choose_duals,
@@ -36,11 +36,8 @@ from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_o
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_triplets, pattern_of_P
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
 
-SmoothSides = tuple[SmoothSide, SmoothSide]
 
-
-@dataclass(frozen=True, eq=False)
-class MortarOperators:
+class MortarOperators(NamedTuple):
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
     One per direction of the multipliers, as Dirichlet data allow, at the n owned slave nodes;
@@ -178,11 +175,10 @@ def mean_values(
     The weights D_jj are (n, 1).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
-    return np.asarray(total * inverse(weight))
+    return total * inverse(weight)
 
 
-@dataclass(frozen=True, eq=False)
-class WholeSide:
+class WholeSide(NamedTuple):
     """A slave side and the pattern of D."""
 
     slave: Surface
@@ -195,14 +191,12 @@ class WholeSide:
     weight: Weight | None = None  # of all integrals, at X
 
 
-@dataclass(frozen=True, eq=False)
-class SideOperators:
+class SideOperators(NamedTuple):
     """D of a side, see `MortarOperators`."""
 
     segments: Segments  # whole facets
     x: Floats  # (q, d) their points
     Phi: Floats  # (q, k) weighted dual functions
-    keep: Bools  # (local slave nodes,)
     kept: Bools  # (n, 1) owned
     weight: Floats  # (n, 1) D_jj, 0 where not kept
     P: Floats  # (e, 1) - D_jl / D_jj off the diagonal
@@ -230,11 +224,9 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     facets, element = facets_at(slave, x), slave.element
     xi, weights = rule_of(element)
     jacobians = np.linalg.norm(scaled_normals(facets, xi), axis=2) * weights
-    m, q = jacobians.shape
-    which = np.repeat(np.arange(m, dtype=np.int32), q)
-    some = facing[which]
-    which, at, weight = which[some], np.tile(xi, (m, 1))[some], jacobians.ravel()[some]
-    none = np.full(len(which), -1, dtype=np.int32)
+    some = np.flatnonzero(facing).astype(np.int32)
+    which, at = some.repeat(len(xi)), np.tile(xi, (len(some), 1))
+    none, weight = np.full(len(which), -1, dtype=np.int32), jacobians[some].ravel()
     sums = tributary_weights(facets)
     segments = Segments(none, which, none, at, 0.0 * at, weight, sums, element)
     return weigh(slave, side.weight, segments, facets), points_of(facets, which, at)
@@ -242,7 +234,7 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
     """Integrate D over the facing facets (m,) of this rank, at x; collective."""
-    slave, own = side.slave, slice(None, side.slave.owned)
+    slave = side.slave
     segments, points = whole_facets(side, x, facing)
     weights = node_weights(side, segments)
     keep, Phi = choose_duals(side, segments, weights, allowed)
@@ -254,8 +246,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
         segments=segments,
         x=points,
         Phi=Phi,
-        keep=keep,
-        kept=keep[own, None] & (weight > 0.0),
+        kept=weight > 0.0,
         weight=weight,
         P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
         coverage=find_coverage(side, segments, *weights),

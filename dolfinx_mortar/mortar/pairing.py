@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import dolfinx
 from dolfinx.common import timed
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank, values_at
 from dolfinx_mortar.common.arrays import Bools, Floats, Ints, Longs
@@ -73,7 +73,7 @@ class Pairing:
     roles: Roles | None = None  # of a surface in self-contact
 
 
-def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
+def _slave_facets(slave: Surface, u: Function | None) -> tuple[Facets, Floats]:
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -92,11 +92,11 @@ def _send_facets(
     return nodes.astype(np.int64), facets, X.reshape(-1, X.shape[2])[first], deepest
 
 
-def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
+def _deepest(surface: Surface, u: Function | None, itself: bool) -> Floats:
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
-    return np.asarray(THROUGH * surface.thickness * stretch)
+    return THROUGH * surface.thickness * stretch
 
 
 def create_triplets(slave: Surface, rows: Longs, columns: Longs) -> Triplets:
@@ -139,7 +139,7 @@ def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m
 def create_pairing(
     slave: Surface,
     master: Surface,
-    u: dolfinx.fem.Function | None,
+    u: Function | None,
     *,
     moving: bool = True,
     again: bool = False,
@@ -222,14 +222,12 @@ def create_pairing(
     )
 
 
-def _coordinates_of(
-    V: dolfinx.fem.FunctionSpace, nodes: Longs, X: Floats, u: dolfinx.fem.Function | None
-) -> Floats:
+def _coordinates_of(V: FunctionSpace, nodes: Longs, X: Floats, u: Function | None) -> Floats:
     """Coordinates X + u (n, d) of global nodes; collective."""
     if u is None:
         return X
     own = u.x.array[: V.dofmap.index_map.size_local * X.shape[1]].reshape(-1, X.shape[1])
-    return np.asarray(X + values_at(V.mesh.comm, own, nodes))
+    return X + values_at(V.mesh.comm, own, nodes)
 
 
 def receive(pairing: Pairing, values: npt.NDArray[Any]) -> Floats:
@@ -240,14 +238,14 @@ def receive(pairing: Pairing, values: npt.NDArray[Any]) -> Floats:
     return values_at(master.V.mesh.comm, at, pairing.master_nodes)
 
 
-def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
+def received_facets(pairing: Pairing, u: Function | None) -> Facets:
     """Received master facets at X + u (collective)."""
     x = _coordinates_of(pairing.master.V, pairing.master_nodes, pairing.master_X, u)
     return Facets(pairing.master.element, x[pairing.master_facets])
 
 
 @timed("~Mortar: margin")
-def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
+def outside_margin(pairing: Pairing, u: Function | None) -> bool:
     """Whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     By the relative motion only; False is certain. True where u is not finite.

@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
 import scipy
 
-from dolfinx import fem
+from dolfinx.fem import Function
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arrays import (
     HALF_OF_DIGITS,
@@ -37,18 +38,17 @@ from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_of_bodies
 
 
-@dataclass(frozen=True)
-class Middles:
+class Middles(NamedTuple):
     """Middles of the bodies behind facets."""
 
     surface: Surface
     depth: Floats  # (m,) distance from the facet at X
 
-    def at(self, u: fem.Function) -> tuple[Floats, Floats]:
+    def at(self, u: Function) -> tuple[Floats, Floats]:
         """Centres and middles (k, d) of facets of finite depth."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
-        faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
+        faces = facets.x[:, own.element.vertices].mean(axis=1)
         return faces, faces - self.depth[finite, None] * facet_normals(facets)
 
 
@@ -62,8 +62,7 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
     return Middles(surface, THROUGH * depth)
 
 
-@dataclass(frozen=True)
-class SeenByTool:
+class SeenByTool(NamedTuple):
     """Motion of points relative to a rigid tool."""
 
     at: Callable[[float, Floats], Floats]  # time in (0, 1), points (.., d) -> tool's frame
@@ -109,9 +108,7 @@ def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool
     return bool(np.linalg.norm(extent) >= -found[0])
 
 
-def find_passed(
-    slave: Middles, master: Middles, before: fem.Function, now: fem.Function
-) -> Passing | None:
+def find_passed(slave: Middles, master: Middles, before: Function, now: Function) -> Passing | None:
     """The side through which the other one has passed, or None; collective.
 
     All ranks get all facets of a side: call `is_far` first.
@@ -120,9 +117,7 @@ def find_passed(
     return _passed(master, slave.surface, before, now) if found is None else found
 
 
-def _passed(
-    side: Middles, other: Surface, before: fem.Function, now: fem.Function
-) -> Passing | None:
+def _passed(side: Middles, other: Surface, before: Function, now: Function) -> Passing | None:
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
@@ -159,7 +154,7 @@ def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs)
 
 
 def find_passed_tool(
-    side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool, removed: float = 0.0
+    side: Middles, before: Function, now: Function, seen: SeenByTool, removed: float = 0.0
 ) -> Passing | None:
     """Whether a body and a rigid tool have passed through each other; collective.
 
@@ -209,7 +204,7 @@ def _behind(parts: Floats, most: float, less: float) -> Floats:
     """Lines or triangles moved inward by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
-    return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
+    return parts - (shift[:, None] * facet_normals(facets))[:, None]
 
 
 def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
@@ -224,7 +219,7 @@ def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Float
     inside, outside = phi[0] < 0.0, phi[0] > 0.0
     for ends, distances in zip(pairwise(ways), pairwise(phi), strict=True):
         inside |= _cross(ends, distances, least, distance)
-    return np.asarray(inside & outside)
+    return inside & outside
 
 
 def _cross(
@@ -256,8 +251,7 @@ TURN = 10.0
 cos(5 degrees) = 0.4 % of the radius, that of two such parts by 1.5 %."""
 
 
-@dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(NamedTuple):
     """The motion x -> R x + c."""
 
     R: Floats  # (d, d)
@@ -265,11 +259,11 @@ class RigidMotion:
 
     def at(self, x: Floats) -> Floats:
         """Images of points (.., d)."""
-        return np.asarray(x @ self.R.T + self.c)
+        return x @ self.R.T + self.c
 
     def back(self, x: Floats) -> Floats:
         """Preimages of points (.., d)."""
-        return np.asarray((x - self.c) @ self.R)
+        return (x - self.c) @ self.R
 
     def seen_from(self, other: RigidMotion) -> RigidMotion:
         """The motion relative to another one."""
@@ -279,7 +273,7 @@ class RigidMotion:
         """Rotation vector (3,) in radians; in 2D along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
-        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec())
+        return scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec()
 
     def angle(self) -> float:
         """Angle of the rotation in degrees."""

@@ -6,7 +6,7 @@ A node of both kinds has no multiplier. Arguments: own facets (ms,), received `c
 `deepest`, how far behind a facet its master may lie.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -22,8 +22,7 @@ REACH = 4.0
 half the distance require a new search, before they touch."""
 
 
-@dataclass(frozen=True, eq=False)
-class Roles:
+class Roles(NamedTuple):
     """Slaves and masters at a search."""
 
     slave: Bools  # (ms,) own facets
@@ -90,7 +89,7 @@ def choose_roles(
 def _are_among(rows: Longs, keys: Longs) -> Bools:
     _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
     number = number.ravel()
-    return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
+    return np.isin(number[len(keys) :], number[: len(keys)])
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
@@ -132,7 +131,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     )
     both = scipy.sparse.coo_array((np.ones(2 * len(turn)), ends), shape=(2 * n + 2, 2 * n + 2))
     _, role = scipy.sparse.csgraph.connected_components(both, directed=False)
-    return np.asarray(role[rank] == role[slaves])
+    return role[rank] == role[slaves]
 
 
 def neighbours(keys: Longs, least: int) -> Longs:
@@ -176,13 +175,10 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
     near = np.flatnonzero(distance <= REACH / 2)
     pairs, distance = pairs[near], distance[near]
     keys = pairs[:, 0].astype(np.int64) * len(roles.copies) + pairs[:, 1]
-    place = np.searchsorted(roles.seen, keys)
-    place[place == len(roles.seen)] = 0
-    known = np.zeros(len(keys), dtype=bool)
     then: Floats = np.full(len(keys), np.inf)
-    if len(roles.seen):
-        known = roles.seen[place] == keys
-        then = roles.distance[place]
+    _, again, before = np.intersect1d(keys, roles.seen, return_indices=True)
+    then[again] = roles.distance[before]
+    known = then < np.inf
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
     settled = ~own & other  # the slave's rank tests it
     settled |= own & ~other & known

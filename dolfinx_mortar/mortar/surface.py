@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 import basix
 import dolfinx
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common import compat
 from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
@@ -47,7 +48,7 @@ class Surface:
     A facet belongs to the rank of its cell; this rank's nodes of other ranks' facets are included.
     """
 
-    V: dolfinx.fem.FunctionSpace
+    V: FunctionSpace
     tag: int
     label: str  # tag, for messages
     nodes: Ints  # (n,) local, ascending: owned before ghosts
@@ -93,10 +94,10 @@ def marks(index_map: dolfinx.common.IndexMap, local: Ints) -> Bools:
     found.array[local] = 1.0
     found.scatter_reverse(dolfinx.la.InsertMode.add)
     found.scatter_forward()
-    return np.asarray(found.array > 0.0)
+    return found.array > 0.0
 
 
-def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
+def _marked_facets(V: FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
     """Owned marked facets; a ValueError on all ranks."""
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
@@ -133,11 +134,11 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     return facets
 
 
-def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
+def _element(V: FunctionSpace) -> FacetElement:
     return FACETS_OF[V.mesh.topology.cell_name(), V.element.basix_element.degree]
 
 
-def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+def _cells_behind(V: FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
@@ -147,7 +148,7 @@ def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, I
     return cells, np.argmax(cell_facets[cells] == entities[:, None], axis=1)
 
 
-def facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+def facet_nodes(V: FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
     """Nodes (m, k) around facets (m,), and a cell (m,) of each."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
@@ -156,7 +157,7 @@ def facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Int
     return V.dofmap.list[cells[:, None], closure[local]], cells
 
 
-def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
+def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: FunctionSpace) -> Ints:
     assert (cells < V.mesh.topology.index_map(V.mesh.topology.dim).size_local).all()
     element, x = _element(V), X[nodes]
     outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
@@ -184,7 +185,7 @@ def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
 
 
 def create_surface(
-    V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int | str, name: str
+    V: FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int | str, name: str
 ) -> Surface:
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
@@ -219,7 +220,7 @@ def create_surface(
     )
 
 
-def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
+def _thickness(V: FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
     comm = V.mesh.comm
     result = thickness(facets, seen_facets(comm, facets, facets)[0])
     unknown = np.isinf(result)
@@ -247,7 +248,7 @@ def thickness_of_bodies(
     return found
 
 
-def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
+def _meet_at_edges(V: FunctionSpace, facets: Facets, nodes: Ints) -> bool:
     """Whether facets meet at more than 60 degrees; collective."""
     n = facet_normals(facets)
     mean = means_at_nodes(V, nodes, n)[nodes]
@@ -255,7 +256,7 @@ def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) ->
     return bool((along < np.sqrt(0.75) * np.linalg.norm(mean, axis=2)).any())
 
 
-def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
+def means_at_nodes(V: FunctionSpace, nodes: Ints, values: Floats) -> Floats:
     """Means (local nodes, c) of values (m, c) of facets with nodes (m, k); collective."""
     c = values.shape[1] + 1
     sums = dolfinx.la.vector(V.dofmap.index_map, c)
@@ -264,7 +265,7 @@ def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) ->
     add_at_nodes(at, np.ascontiguousarray(nodes), each[:, None].repeat(nodes.shape[1], axis=1))
     sums.scatter_reverse(dolfinx.la.InsertMode.add)
     sums.scatter_forward()
-    return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
+    return at[:, :-1] / np.maximum(at[:, -1:], 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +278,9 @@ class Boundary:
     nodes: Ints  # (m, k) local
 
     def __getitem__(self, which: Longs) -> "Boundary":
-        cells, entities, nodes = (v[which] for v in (self.cells, self.entities, self.nodes))
-        return Boundary(self.facets[which], cells, entities, nodes)
+        return Boundary(*(getattr(self, field.name)[which] for field in fields(self)))
 
-    def at(self, u: dolfinx.fem.Function | None) -> Facets:
+    def at(self, u: Function | None) -> Facets:
         """The facets at X + u."""
         if u is None:
             return self.facets
@@ -295,7 +295,7 @@ def connect(topology: dolfinx.mesh.Topology) -> None:
     topology.create_connectivity(d, d - 1)
 
 
-def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
+def find_boundary(V: FunctionSpace) -> Boundary:
     """All exterior facets; collective."""
     connect(V.mesh.topology)
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
@@ -356,10 +356,10 @@ def dependent_nodes(surface: Surface) -> Bools:
     count = np.zeros(len(surface.nodes))
     for middle, *_ in surface.element.shares:
         count[surface.facets[:, middle]] = 1.0
-    return np.asarray(accumulate(surface, count) > 0)
+    return accumulate(surface, count) > 0
 
 
-def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
+def coordinates(surface: Surface, u: Function | None) -> Floats:
     """Coordinates X + u (n, d) of the nodes; ghosts of u must be up to date."""
     if u is None:
         return surface.X
@@ -393,7 +393,7 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
     return nodal_means(surface, sagitta[:, None])[:, 0]
 
 
-def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
+def thickness_stretches(surface: Surface, u: Function) -> Floats:
     """Stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
     Means of the change of volume over area.
@@ -407,7 +407,7 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     normals = scaled_normals(facets_at(surface, of_nodes), surface.element.centre)[:, 0]
-    return np.asarray(volume / np.maximum(np.linalg.norm(normals, axis=1), TINY))
+    return volume / np.maximum(np.linalg.norm(normals, axis=1), TINY)
 
 
 def mean_facet_length(surface: Surface) -> float:
@@ -431,8 +431,7 @@ def find_receivers(
     for group in (order[first : first + size] for first in range(0, len(x), size)):
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
         cones.append(create_cones(nodes, normals, margin[group].max(keepdims=True)))
-    names = (field.name for field in fields(Cones))
-    every = Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
+    every = Cones(*map(np.concatenate, zip(*cones, strict=True)))
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(every)):

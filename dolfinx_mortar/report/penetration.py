@@ -148,7 +148,7 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     nodes = x[side.slave.facets]
     sizes, places = facet_sizes(nodes), np.concatenate([points, nodes.mean(axis=1)[facing]])
     facets = facets_at(side.slave, x)
-    corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
+    corners, n = nodes[:, facets.element.vertices], facet_normals(facets)
     point = np.broadcast_to(pose.to_space(tool.shape.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
     below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above

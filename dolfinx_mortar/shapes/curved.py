@@ -28,8 +28,6 @@ from dolfinx_mortar.shapes.shape import Distance, Shape, unit_vectors
 FACE, EDGE, POINT = 0, 1, 4
 """Where the nearest point lies: in the triangle, on the edges 1 to 3, at the corners 4 to 6."""
 
-Parts = tuple[Floats, Floats, Floats]
-
 
 class Curved(Shape):
     """Region bounded by curved lines or triangles."""

@@ -117,7 +117,7 @@ class SignedDistance(Shape):
         # second differences square the round-off
         power = 1 / 3 if self.gradient is not None else 1 / 5
         found = _differences(self._gradients, x, self._step(power))
-        return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
+        return (found + np.swapaxes(found, 1, 2)) / 2
 
     def _step(self, power: float) -> float:
         assert self.length is not None

@@ -141,7 +141,7 @@ def _crossed(p: Floats, q: Floats) -> Bools:
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a
-        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
     result = np.zeros(len(p), dtype=bool)
     for k in range(len(p)):  # exactly 0 at the common point of two neighbours

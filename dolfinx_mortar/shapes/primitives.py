@@ -173,7 +173,7 @@ class _Pointed(Shape):
 
     @property
     def _centre(self) -> Floats:
-        return np.asarray(self.tip + self.radius * self.axis)
+        return self.tip + self.radius * self.axis
 
 
 class Cone(_Revolved, _Pointed):

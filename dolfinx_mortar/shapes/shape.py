@@ -121,7 +121,7 @@ def check_unit(name: str, value: Any, d: int) -> Floats:
     """Unit vector (d,) of a direction; raise a ValueError for others."""
     found = check(name, value, array((d,), holds=np.any, remedy=DIRECTION.format(d)))
     found = found / np.abs(found).max()  # squares may over- or underflow
-    return np.asarray(found / np.linalg.norm(found))
+    return found / np.linalg.norm(found)
 
 
 def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:

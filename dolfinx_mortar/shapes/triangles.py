@@ -106,11 +106,11 @@ def _summed(group: Longs, parts: Floats) -> Floats:
     """Sums of parts (m, 3, 3) over groups (3 m,) of corners."""
     total = np.zeros((int(group.max()) + 1, 3))
     np.add.at(total, group, parts.reshape(-1, 3))
-    return np.asarray(total[group].reshape(-1, 3, 3))
+    return total[group].reshape(-1, 3, 3)
 
 
 def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
-    return np.asarray(np.linalg.norm(vectors, axis=-1))
+    return np.linalg.norm(vectors, axis=-1)
 
 
 HEADER = 84
@@ -220,7 +220,7 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
             f"{who}, which is no STL file, {len(content)} bytes long: "
             "export the surface as STL, binary or text"
         )
-    wrong = np.asarray(~np.isfinite(corners).all(axis=(1, 2)))
+    wrong = ~np.isfinite(corners).all(axis=(1, 2))
     if wrong.any():
         raise ValueError(
             f"{who}, in which {int(wrong.sum())} of {len(corners)} "

@@ -15,7 +15,7 @@ import scipy
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
-from dolfinx_mortar.algebra.csr import owned_rows
+from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.algebra.parallel import maximum, values_at
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats, Ints
 
@@ -164,8 +164,7 @@ def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
     row, column = np.append(row[nearest], rest), np.append(column[nearest], rest + first)
     shares = 1.0 / np.bincount(row, minlength=n)[row]
     P = scipy.sparse.csr_array((shares, (row, column)), shape=(n, M.getSize()[1]))
-    csr = P.indptr.astype(PETSc.IntType), P.indices.astype(PETSc.IntType), P.data
-    return PETSc.Mat().createAIJ(M.getSizes(), csr=csr, comm=M.comm), np.isfinite(least)
+    return matrix_of(M.comm, P, M.getLocalSize()[1]), np.isfinite(least)
 
 
 def _restore_moments(
