@@ -21,7 +21,7 @@ from dolfinx_mortar.materials.protocol import (
     Range,
     check_fields,
 )
-from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
+from dolfinx_mortar.materials.tensor import GRADIENT, INDEX, upper_triangle
 from ufl.core.expr import Expr
 
 
@@ -321,7 +321,7 @@ class Ogden(PointwiseLaw):
         P, A = np.empty((q, 9)), np.empty((q, 45))
         law = np.hstack([T, L.reshape(q, 9), G])
         logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
-        return (*as_tensors(P, A, GRADIENT[3]), {})
+        return (*as_tensors(P, A, GRADIENT[3], upper_triangle(9)), {})
 
 
 def _twice_shear_modulus(p: Any) -> Any:

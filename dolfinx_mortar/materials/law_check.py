@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Check of a law at one point."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +13,7 @@ import ufl
 from dolfinx_mortar.common import arguments
 from dolfinx_mortar.common.arrays import EPS, Floats
 from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
-from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
+from dolfinx_mortar.materials.logarithmic import CompiledLaw, LogarithmicLaw
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,
     Law,
@@ -23,14 +21,8 @@ from dolfinx_mortar.materials.protocol import (
     grouped,
     named_parameters,
 )
-from dolfinx_mortar.materials.response import (
-    NORMAL,
-    PointValues,
-    elastic_response,
-    respond,
-    values_at_points,
-)
-from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
+from dolfinx_mortar.materials.response import PointValues, elastic_response
+from dolfinx_mortar.materials.tensor import INDEX
 from ufl.core.expr import Expr
 
 PATHS = 8
@@ -185,7 +177,7 @@ class LawAtPoint:
     finite: bool  # whether it is one of F, else of a small strain
     parameters: Mapping[str, float]
     elastic: Callable[[Floats], Floats]  # small strain (3, 3) -> C : strain (3, 3)
-    values: Callable[..., PointValues]  # see `values_at_points`
+    values: Callable[..., PointValues]  # see `CompiledLaw.values`
 
     @property
     def rtol(self) -> float:
@@ -226,65 +218,22 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
                 f"out with numbers, dataclasses.replace(law, {name}=...)."
             )
         given[name] = float(getattr(value, "value", value))
-    e, p = _symbols(given, (3, 3))
-    kernel = compile_kernel(_entries(elastic_response(law, e, p)))
+    numbers = list(constants(9 + len(given)))
+    e, p = (
+        ufl.as_matrix(np.reshape(numbers[:9], (3, 3)).tolist()),
+        grouped(dict(zip(given, numbers[9:], strict=True))),
+    )
+    moduli = elastic_response(law, e, p)
+    kernel = compile_kernel(ufl.as_vector([moduli[at] for at in np.ndindex(3, 3)]))
 
     def elastic(strain: Floats) -> Floats:
         return tabulate(kernel, np.array([[*strain.ravel(), *given.values()]])).reshape(3, 3)
 
-    values: Callable[..., PointValues]
     if finite and law.strain == "small":
-        values = LogarithmicLaw(law, list(given)).values
-    else:
-        update = law.update or _of_arrays(dataclasses.replace(law, plane_stress=False), given)
-        energy = law.energy if law.update else None
-        values = partial(values_at_points, dataclasses.replace(law, update=update, energy=energy))
-    return LawAtPoint(law, finite, given, elastic, values)
-
-
-def _of_arrays(law: Law, parameters: Mapping[str, float]) -> Callable[..., PointValues]:
-    """`update` of a law in UFL."""
-    e, D, *rest, p = _symbols(parameters, (3, 3), (3, 3), *law.state.values())
-    response = respond(law, e, dict(zip(law.state, rest, strict=True)), p)
-    psi = ufl.as_ufl(0.0 if response.energy is None else response.energy)
-    scalars = psi, elastic_response(law, NORMAL, p)[2, 2]
-    answers = [response.change(D), response.stress, *scalars, *response.updated.values()]
-    kernel = compile_kernel(_entries(*answers))
-    sizes = [9, 1, 1, *(9 if shape else 1 for shape in law.state.values())]
-
-    def update(strain: Floats, state: State, p: Any) -> PointValues:
-        q = len(strain)
-        given = np.tile(np.array(list(parameters.values())), (q, 1))
-        parts = strain, np.zeros((q, 9)), *state.values(), given
-        numbers = np.repeat(np.hstack([part.reshape(q, -1) for part in parts]), 9, axis=0)
-        numbers[:, 9:18] = np.tile(np.eye(9), (q, 1))  # directions of the changes
-        found = tabulate(kernel, numbers)
-        tangent = found[:, :9].reshape(q, 3, 3, 3, 3).transpose(0, 3, 4, 1, 2)
-        tangent = tangent if law.strain == "finite" else mean_of_shears(tangent)
-        stress, energy, moduli, *new = np.split(found[::9, 9:], np.cumsum(sizes)[:-1], axis=1)
-        updated = {name: v.reshape(state[name].shape) for name, v in zip(state, new, strict=True)}
-        psi = None if law.energy is None else energy[:, 0]
-        values = stress.reshape(q, 3, 3), tangent, updated
-        return PointValues(*values, energy=psi, elastic=moduli[:, 0])
-
-    return update
-
-
-def _symbols(parameters: Iterable[str], *shapes: tuple[int, ...]) -> list[Any]:
-    names = list(parameters)
-    numbers = iter(list(constants(sum(9 if shape else 1 for shape in shapes) + len(names))))
-    found = [
-        ufl.as_tensor([[next(numbers) for _ in range(3)] for _ in range(3)])
-        if shape
-        else next(numbers)
-        for shape in shapes
-    ]
-    return [*found, grouped({name: next(numbers) for name in names})]
-
-
-def _entries(*values: Expr) -> Expr:
-    every = ((value, at) for value in values for at in np.ndindex(value.ufl_shape))
-    return ufl.as_vector([value[at] if at else value for value, at in every])
+        return LawAtPoint(law, finite, given, elastic, LogarithmicLaw(law, list(given)).values)
+    dimension = 2 if law.plane_stress else 3
+    compiled = CompiledLaw(law, list(given), dimension=dimension, whole=True)
+    return LawAtPoint(law, finite, given, elastic, compiled.values)
 
 
 class _Judge:

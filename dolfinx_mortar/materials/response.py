@@ -10,7 +10,6 @@ At finite strain e is F in the plane, sigma is P and z the stretch out of the pl
 linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z at each point.
 """
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -236,9 +235,7 @@ class PointValues:
     stress: Floats  # (q, 3, 3), at finite strain P
     tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
-    normal: Floats | None = None  # (q,) z of plane stress, see `solve_normal_strain`
-    energy: Floats | None = None  # (q,) of a law of F that has one
-    elastic: Floats | None = None  # (q,) C_zzzz of `elastic_stress`, of a law in UFL
+    energy: Floats | None = None  # (q,)
 
     @property
     def undefined(self) -> Bools:
@@ -259,68 +256,9 @@ def values_at_points(
 
     Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,) by name.
     """
-    z, unit = None, 1.0 if law.strain == "finite" else 0.0
-    if law.plane_stress:
-        z = _normal_at_points(law, strain, state, p)
-        strain = _flat(strain, unit + z)
-    found = _updated(law, strain, state, p)
-    if unit and law.energy is not None:
-        psi = _call(law, "energy", (len(strain),), strain, state, grouped(p))
-        found = dataclasses.replace(found, energy=psi)
-    return found if z is None else _condensed(found, z)
-
-
-def _flat(strain: Floats, normal: Floats) -> Floats:
-    whole = np.zeros_like(strain)
-    whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
-    return whole
-
-
-def _normal_at_points(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
-) -> Floats:
-    """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
-    finite = law.strain == "finite"
-
-    def equation(points: Ints, z: Floats) -> Sequence[Floats]:
-        some = _flat(strain[points], 1.0 + z if finite else z)
-        here = ({n: v[points] for n, v in values.items()} for values in (state, p))
-        found = _updated(law, some, *here)
-        moduli = found.tangent.reshape(-1, 81)
-        return normal_equation(found.stress.reshape(-1, 9), moduli, found.elastic)
-
-    return solve_normal_strain(law.name, equation, len(strain), finite=finite)
-
-
-def normal_equation(
-    stress: Floats, tangent: Floats, elastic: Floats | None = None
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Values of an `Equation` at q points, of components (q, ..) of which zz is the last.
-
-    Without elastic moduli (q,) the largest one of the tangent.
-    """
-    stiffest = np.abs(tangent).max(axis=1, initial=0.0) if elastic is None else elastic
-    return stress[:, -1], tangent[:, -1], stiffest, np.linalg.norm(stress, axis=1)
-
-
-def _condensed(found: PointValues, z: Floats) -> PointValues:
-    stress, C = found.stress.copy(), found.tangent
-    stress[:, 2], stress[:, :, 2] = 0.0, 0.0
-    with np.errstate(all="ignore"):
-        modulus = C[:, 2, 2, 2, 2][:, None, None, None, None]
-        tangent = C - np.einsum("qij,qkl->qijkl", C[..., 2, 2], C[:, 2, 2]) / modulus
-    for axis in range(1, 5):
-        np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
-    return dataclasses.replace(found, stress=stress, tangent=tangent, normal=z)
-
-
-def _updated(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
-) -> PointValues:
-    where, q = f"{law.name}.update", len(strain)
-    found = _guarded(law, "update", strain, state, grouped(p))
-    if isinstance(found, PointValues):  # of a law in UFL
-        return found
+    where, q, finite = f"{law.name}.update", len(strain), law.strain == "finite"
+    given = strain, state, grouped(p)
+    found = _guarded(law, "update", *given)
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"
@@ -330,8 +268,9 @@ def _updated(
     C = _shaped(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
         _shaped(f"{where}: the stress", stress, (q, 3, 3)),
-        mean_of_shears(C) if law.strain == "small" else C,
+        C if finite else mean_of_shears(C),
         {n: _shaped(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        _call(law, "energy", (q,), *given) if finite and law.energy is not None else None,
     )
 
 
