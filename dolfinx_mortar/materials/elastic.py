@@ -150,11 +150,14 @@ class Orthotropic(CheckedLaw):
 
 def _axes(p: Any) -> Expr:
     """Axes of the material as columns (3, 3)."""
-    (cz, sz), (cy, sy), (cx, sx) = ((ufl.cos(t), ufl.sin(t)) for t in (p.yaw, p.pitch, p.roll))
-    yaw = ufl.as_tensor([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    pitch = ufl.as_tensor([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    roll = ufl.as_tensor([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    return yaw * pitch * roll
+
+    def turn(i: int, j: int, angle: Expr) -> Expr:
+        R = np.eye(3).tolist()
+        R[i][i] = R[j][j] = ufl.cos(angle)
+        R[i][j], R[j][i] = -ufl.sin(angle), ufl.sin(angle)
+        return ufl.as_matrix(R)
+
+    return turn(0, 1, p.yaw) * turn(2, 0, p.pitch) * turn(1, 2, p.roll)
 
 
 @dataclass(frozen=True)
@@ -304,16 +307,16 @@ class Ogden(PointwiseLaw):
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
         logarithms.decompose(F - np.eye(3), np.empty((0, 3, 3)), x, logs, *tensors)
-        e, J = logs - logs.mean(axis=1, keepdims=True), np.exp(logs.sum(axis=1))[:, None]
+        D = np.eye(3) - 1 / 3
+        e, J = logs @ D, np.exp(logs.sum(axis=1))[:, None]
         T, L, G = p.K[:, None] * (J - 1) * J * np.ones(3), np.zeros((q, 3, 3)), np.zeros((q, 3))
         L += (p.K[:, None] * (2 * J - 1) * J)[..., None]
         first, second = np.array(INDEX[3:]).T
         apart = e[:, first] - e[:, second]
         for mu, alpha in zip(p.mu, p.alpha, strict=True):
             power = mu[:, None] * np.exp(alpha[:, None] * e)
-            T += power - power.mean(axis=1, keepdims=True)
-            slope = alpha[:, None, None] * (np.eye(3) * power[:, None] - power[..., None] / 3)
-            L += slope - slope.mean(axis=1, keepdims=True)
+            T += power @ D
+            L += D @ ((alpha[:, None] * power)[..., None] * D)
             # exact for coincident stretches
             t = alpha[:, None] * apart
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))

@@ -330,7 +330,8 @@ class LogarithmicLaw(CompiledLaw):
             if self.multiplicative:
                 numbers[:, :3] = logs
             else:
-                logarithms.compose_stored(self._pairs, N, logs, numbers)
+                s = len(self._pairs)
+                numbers[:, :s] = stored(logarithms.compose(N, logs), s)
             yield some, numbers, parts
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
