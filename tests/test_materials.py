@@ -176,15 +176,11 @@ def test_uniaxial_saturation():
 
 def test_increment_of_voce():
     """M g + R (1 - exp(-b g)) = e for M = b = 1, up to the round-off of its addends."""
-    x, at = (
-        constants(2),
-        np.array([*itertools.product([1e-9, 0.1, 1.0, 30.0], [0.0, 1e-300, 1e-3, 1.0, 1e6])]),
-    )
-    found = increment(x[0], x[1], 1.0, 1.0, ufl.ln(ufl.max_value(x[1], 1e-308)))
-    g, slope = tabulate(compile_kernel(ufl.as_vector(found)), at).T
-    excess, rest = at.T
-    assert (np.abs(g - rest * np.expm1(-g) - excess) <= 1e-14 * (excess + rest)).all()
-    np.testing.assert_allclose(slope, 1 / (1 + rest * np.exp(-g)), rtol=1e-9)
+    (x, y), at = constants(2), np.array([*itertools.product([1e-9, 0.1, 30.0], [1e-99, 0.1, 1e6])])
+    kernel = compile_kernel(ufl.as_vector(increment(x, y, 1, 1, ufl.ln(y))))
+    (g, slope), (e, R) = tabulate(kernel, at).T, at.T
+    assert (np.abs(g - R * np.expm1(-g) - e) <= 1e-14 * (e + R)).all()
+    np.testing.assert_allclose(slope, 1 / (1 + R * np.exp(-g)), rtol=1e-9)
 
 
 def test_without_isotropic_hardening_there_is_no_k():

@@ -152,7 +152,7 @@ def _axes(p: Any) -> Expr:
     """Axes of the material as columns (3, 3)."""
 
     def turn(i: int, j: int, angle: Expr) -> Expr:
-        R = np.eye(3).tolist()
+        R: Any = np.eye(3).tolist()
         R[i][i] = R[j][j] = ufl.cos(angle)
         R[i][j], R[j][i] = -ufl.sin(angle), ufl.sin(angle)
         return ufl.as_matrix(R)

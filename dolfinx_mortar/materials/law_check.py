@@ -12,7 +12,6 @@ import numpy as np
 import ufl
 from dolfinx_mortar.common import arguments
 from dolfinx_mortar.common.arrays import EPS, Floats
-from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.logarithmic import CompiledLaw, LogarithmicLaw
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,
@@ -23,6 +22,7 @@ from dolfinx_mortar.materials.protocol import (
 )
 from dolfinx_mortar.materials.response import PointValues, elastic_response
 from dolfinx_mortar.materials.tensor import INDEX
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 PATHS = 8
@@ -176,7 +176,7 @@ class LawAtPoint:
     law: Law
     finite: bool  # whether it is one of F, else of a small strain
     parameters: Mapping[str, float]
-    elastic: Callable[[Floats], Floats]  # small strain (3, 3) -> C : strain (3, 3)
+    elastic: Floats  # (9, 9), strain @ elastic is the elastic stress, entries row by row
     values: Callable[..., PointValues]  # see `CompiledLaw.values`
 
     @property
@@ -218,16 +218,11 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
                 f"out with numbers, dataclasses.replace(law, {name}=...)."
             )
         given[name] = float(getattr(value, "value", value))
-    numbers = list(constants(9 + len(given)))
-    e, p = (
-        ufl.as_matrix(np.reshape(numbers[:9], (3, 3)).tolist()),
-        grouped(dict(zip(given, numbers[9:], strict=True))),
-    )
-    moduli = elastic_response(law, e, p)
-    kernel = compile_kernel(ufl.as_vector([moduli[at] for at in np.ndindex(3, 3)]))
-
-    def elastic(strain: Floats) -> Floats:
-        return tabulate(kernel, np.array([[*strain.ravel(), *given.values()]])).reshape(3, 3)
+    p = grouped({name: ufl.as_ufl(value) for name, value in given.items()})
+    units = (ufl.as_matrix(unit.tolist()) for unit in np.eye(9).reshape(9, 3, 3))
+    elastic = np.empty((9, 9))
+    for k, stress in enumerate(elastic_response(law, unit, p) for unit in units):
+        elastic[k] = [apply_algebra_lowering(stress[at])(()) for at in np.ndindex(3, 3)]
 
     if finite and law.strain == "small":
         return LawAtPoint(law, finite, given, elastic, LogarithmicLaw(law, list(given)).values)
@@ -244,8 +239,8 @@ class _Judge:
         self.rng, self._turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
         self.virgin: State = {name: np.zeros((1, *of)) for name, of in point.law.state.items()}
         self.found: list[dict[str, float]] = []
-        probes = np.diag([1.0, 0.0, 0.0]), np.array([[0.0, 0.5, 0.0], [0.5, 0.0, 0.0], [0.0] * 3])
-        self._stiffness = max(float(np.linalg.norm(point.elastic(e))) for e in probes)
+        probes = point.elastic[0], (point.elastic[1] + point.elastic[3]) / 2
+        self._stiffness = max(float(np.linalg.norm(stress)) for stress in probes)
         self._start = point(np.eye(3) * point.finite, self.virgin)
 
     def check_start(self) -> None:
@@ -267,7 +262,8 @@ class _Judge:
             length = float(np.linalg.svd(strain, compute_uv=False).min())
         else:
             length = float(np.linalg.norm(strain))
-            scale = max(float(np.linalg.norm(s)) for s in (here.stress, point.elastic(strain)))
+            stresses = here.stress, strain.ravel() @ point.elastic
+            scale = max(float(np.linalg.norm(stress)) for stress in stresses)
             modulus = scale / length
         sample = _Sample(point, strain, state, here, scale)
         if law.linear:

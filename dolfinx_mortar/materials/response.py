@@ -75,6 +75,7 @@ def solve_normal_strain(law: str, equation: Equation, q: int, *, finite: bool = 
     for iteration in range(LIMIT):
         now = z[rows]
         residual, modulus, elastic, stress = equation(rows, now)
+        below = residual < 0.0
         with np.errstate(all="ignore"):
             step = -residual / (0.5**iteration * elastic)
             new = now + np.where(modulus > 0.0, -residual / modulus, step)
@@ -83,17 +84,15 @@ def solve_normal_strain(law: str, equation: Equation, q: int, *, finite: bool = 
             # half of the digits suffice before the last, quadratic iteration
             allowed = np.maximum(HALF_OF_DIGITS * stress, ROUND_OFF * elastic * finite)
             small = (np.abs(residual) <= allowed) & np.isfinite(stress)
-            low[rows] = np.where(~small & (residual < 0.0), now, low[rows])
-            high[rows] = np.where(~small & ~(residual < 0.0), now, high[rows])
-            middle = (low[rows] + high[rows]) / 2
-            bracketed = np.isfinite(middle)
-            outside = ~small & ~((low[rows] < new) & (new < high[rows]))
-            ends = (middle == low[rows]) | (middle == high[rows])
-            narrow = outside & bracketed & ends
+            a = low[rows] = np.where(below, now, low[rows])
+            b = high[rows] = np.where(below, high[rows], now)
+            middle = (a + b) / 2
+            bracketed, outside = np.isfinite(middle), ~small & ~((a < new) & (new < b))
+            narrow = outside & bracketed & ((middle == a) | (middle == b))
         new = np.where(outside, np.where(bracketed, middle, now + step), new)
         z[rows] = np.where(residual == 0.0, now, new)
         # a law undefined from the start counts as finished
-        done = small | narrow | (residual == 0.0) | (np.isnan(stress) & (iteration == 0))
+        done = small | narrow | (np.isnan(stress) & (iteration == 0))
         rows = rows[~done]
         if not rows.size:
             return z
