@@ -16,7 +16,7 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.common.arguments import array, check, check_optional
+from dolfinx_mortar.common.arguments import FINITE, array, check, check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
@@ -103,11 +103,9 @@ class RigidBody:
 
     def pose(self, travel: Floats | None = None) -> Pose:
         """Present pose, or with another travel; a ValueError for NaN, and off an axis."""
-        position: Floats = np.array(self.position.value, dtype=np.float64)
-        rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
-        for name, value in (("position", position), ("rotation", rotation)):
-            if not np.isfinite(value).all():
-                raise ValueError(f"{name} is {value.tolist()}: set the Constant to finite numbers")
+        remedy = "set the Constant to finite numbers"
+        position = check("position", self.position.value, FINITE, remedy)
+        rotation = check("rotation", self.rotation.value.reshape(-1), FINITE, remedy)
         if self.revolved and (rotation.any() or position[0] != self.point[0]):
             raise ValueError(
                 f"position is {position.tolist()} and rotation {rotation.tolist()}: in an "

@@ -15,6 +15,8 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import as_tensors
 from dolfinx_mortar.materials.protocol import (
+    FINITE,
+    POSITIVE,
     CheckedLaw,
     Parameter,
     PointwiseLaw,
@@ -57,7 +59,7 @@ class Elastic(CheckedLaw):
     linear: ClassVar[bool] = True
     splits: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
-        "E": (0.0, math.inf, False),
+        "E": POSITIVE,
         "nu": (-1.0, 0.5, False),
     }
 
@@ -105,10 +107,8 @@ class Orthotropic(CheckedLaw):
 
     linear: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
-        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), (0.0, math.inf, False)),
-        **dict.fromkeys(
-            ("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), (-math.inf, math.inf, False)
-        ),
+        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), POSITIVE),
+        **dict.fromkeys(("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), FINITE),
     }
 
     @staticmethod
@@ -216,9 +216,9 @@ class MooneyRivlin(CheckedLaw):
 
     strain: ClassVar[str] = "finite"
     ranges: ClassVar[Mapping[str, Range]] = {
-        "C10": (-math.inf, math.inf, False),
-        "C01": (-math.inf, math.inf, False),
-        "K": (0.0, math.inf, False),
+        "C10": FINITE,
+        "C01": FINITE,
+        "K": POSITIVE,
     }
 
     @staticmethod
@@ -262,7 +262,7 @@ class Ogden(PointwiseLaw):
     K: Parameter  # bulk modulus
 
     strain: ClassVar[str] = "finite"
-    ranges: ClassVar[Mapping[str, Range]] = {"K": (0.0, math.inf, False)}
+    ranges: ClassVar[Mapping[str, Range]] = {"K": POSITIVE}
 
     def __post_init__(self) -> None:
         given = self.mu, self.alpha

@@ -245,7 +245,7 @@ def _moduli(pairs, law, x, N, f, h, S, M, T, R):  # type: ignore[no-untyped-def]
 def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
     """Fill P (q, k) and dP/dF, A (q, k (k + 1) / 2), upper triangle row by row."""
     s = len(pairs)
-    k = s + 1 if s == 4 else s + 3
+    k = P.shape[1]
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     f, h, T, R = np.empty((3, 3)), np.zeros((3, 3, 3)), np.empty(6), np.empty((6, 6))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
@@ -263,13 +263,13 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
                 Z[p, n] = y[q, i, a] * m[q, j, b] + y[q, i, b] * m[q, j, a]  # dC
                 P[q, n] += S[a, b] * Z[p, n] * (0.5 if p < 3 else 1.0)
         congruent(m[q], S, B)
-        _fill_tangent(s, M, B, Z, W, A[q])
+        _fill_tangent(s, k, M, B, Z, W, A[q])
 
 
 @numba.njit(**SETTINGS)
-def _fill_tangent(s, M, B, Z, W, A):  # type: ignore[no-untyped-def]
+def _fill_tangent(s, k, M, B, Z, W, A):  # type: ignore[no-untyped-def]
     """Set A to Z^T M Z + B, the stress part; upper triangle."""
-    k, t = s + 1 if s == 4 else s + 3, 0
+    t = 0
     for p in range(s):
         for n in range(k):
             W[p, n] = M[p, p] * Z[p, n]

@@ -17,7 +17,9 @@ from dolfinx_mortar.common.arguments import check, one_of
 from dolfinx_mortar.common.arrays import EPS, TINY
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import (
+    NOT_NEGATIVE,
     PLASTIC,
+    POSITIVE,
     CheckedLaw,
     Parameter,
     Range,
@@ -142,9 +144,9 @@ class VonMises(RadialReturn):
 
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
-        "Y": (0.0, math.inf, False),
-        "a": (0.0, math.inf, True),
-        "H": (0.0, math.inf, True),
+        "Y": POSITIVE,
+        "a": NOT_NEGATIVE,
+        "H": NOT_NEGATIVE,
     }
 
     @property
@@ -177,8 +179,8 @@ class VonMises(RadialReturn):
         """
         check_parameters(
             "VonMises.from_uniaxial",
-            yield_stress=(yield_stress, 0.0, math.inf, False),
-            plastic_modulus=(plastic_modulus, 0.0, math.inf, True),
+            yield_stress=(yield_stress, *POSITIVE),
+            plastic_modulus=(plastic_modulus, *NOT_NEGATIVE),
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
@@ -246,8 +248,8 @@ class VonMisesVoce(RadialReturn):
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {PLASTIC: (3, 3), ACCUMULATED: ()}
     ranges: ClassVar[Mapping[str, Range]] = {
         **VonMises.ranges,
-        "Q": (0.0, math.inf, True),
-        "b": (0.0, math.inf, False),
+        "Q": NOT_NEGATIVE,
+        "b": POSITIVE,
     }
 
     @classmethod
@@ -276,10 +278,10 @@ class VonMisesVoce(RadialReturn):
         """
         check_parameters(
             "VonMisesVoce.from_uniaxial",
-            yield_stress=(yield_stress, 0.0, math.inf, False),
-            modulus=(modulus, 0.0, math.inf, True),
-            saturation=(saturation, 0.0, math.inf, True),
-            rate=(rate, 0.0, math.inf, False),
+            yield_stress=(yield_stress, *POSITIVE),
+            modulus=(modulus, *NOT_NEGATIVE),
+            saturation=(saturation, *NOT_NEGATIVE),
+            rate=(rate, *POSITIVE),
         )
         root = math.sqrt(2 / 3)
         return cls(
@@ -340,8 +342,8 @@ class DruckerPrager(CheckedLaw):
     isotropic: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
-        "Y": (0.0, math.inf, False),
-        "beta": (0.0, math.inf, False),
+        "Y": POSITIVE,
+        "beta": POSITIVE,
     }
     elastic_stress = staticmethod(Elastic.elastic_stress)
 
@@ -367,7 +369,7 @@ class DruckerPrager(CheckedLaw):
         """
         check_parameters(
             "DruckerPrager.from_mohr_coulomb",
-            cohesion=(cohesion, 0.0, math.inf, False),
+            cohesion=(cohesion, *POSITIVE),
             friction_angle=(friction_angle, 0.0, 90.0, False),
         )
         sine, cosine = (f(math.radians(friction_angle)) for f in (math.sin, math.cos))

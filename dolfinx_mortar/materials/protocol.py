@@ -22,6 +22,9 @@ Constants and Functions may change between steps; nothing is compiled anew.
 """
 Range = tuple[float, float, bool]
 """Lower end, upper end (never allowed), and whether the lower end is allowed."""
+POSITIVE: Range = (0.0, math.inf, False)
+NOT_NEGATIVE: Range = (0.0, math.inf, True)
+FINITE: Range = (-math.inf, math.inf, False)
 
 
 def named_parameters(material: Any) -> dict[str, Any]:
@@ -259,11 +262,14 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
     parts: dict[str, Any] = {part: _method(kind, part) for part in (*names, "volumetric")}
     parts |= {part: _fitting(material, part) for part in ("stress", "tangent")}
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
-    needed = {"state": state is not None, "linear": linear is not None}
-    needed["elastic_stress"] = parts["elastic_stress"] is not None
-    if parts["update"] is None:
-        needed["updated_state"] = not state or parts["updated_state"] is not None
-        needed["stress or energy"] = bool(parts["stress"] or parts["energy"])
+    given, arrays = {name for name, part in parts.items() if part}, parts["update"] is not None
+    needed = {
+        "state": state is not None,
+        "linear": linear is not None,
+        "elastic_stress": "elastic_stress" in given,
+        "updated_state": arrays or not state or "updated_state" in given,
+        "stress or energy": arrays or not given.isdisjoint({"stress", "energy"}),
+    }
     missing = [part for part, there in needed.items() if not there]
     if missing:
         remedies = "; ".join(_REMEDIES[part] for part in missing)
