@@ -76,6 +76,7 @@ OTHERS = {
 }
 TABLES = {"COMPONENTS", "INDEX", "TURNS", "UNTAGGED"}  # how tensors are stored, and a mark
 TABLES |= {"NORMAL", "GRADIENT"}  # the tensor of a strain out of the plane, a layout
+TABLES |= {"POSITIVE", "NOT_NEGATIVE"}  # ranges of parameters
 TABLES |= {"HIGHEST_RULE"}  # what is refused, in test_errors
 TABLES |= {"FINITE_RTOL", "STRETCHES", "VOLUMES", "WEIGHTS"}  # in test_law_check
 

@@ -199,11 +199,9 @@ def _guarded(law: Law, method: str, *arguments: Any) -> Any:
         return getattr(law, method)(*arguments)
     except Exception as error:
         wanted = _ARGUMENTS.get(method, "(strain, state, p)")
-        where = f"it is called as a static method, {method}{wanted}, with UFL"
-        if isinstance(arguments[0], np.ndarray):
-            where = f"at {len(arguments[0])} points"
         raise ValueError(
-            f"{law.name}.{method} raised {type(error).__name__}: {error} ({where}){_remedy(error)}"
+            f"{law.name}.{method} raised {type(error).__name__}: {error} (it is called as a static "
+            f"method, {method}{wanted}){_remedy(error)}"
         ) from error
 
 
@@ -220,9 +218,9 @@ def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
         wanted = "an array" if arrays else "UFL"
         raise ValueError(f"{what} is a {type(value).__name__}; it must be {wanted}.") from error
     given = found.shape if arrays else found.ufl_shape
-    if given != shape or (not arrays and found.ufl_free_indices):
-        where = f" at {shape[0]} points" if arrays else ""
-        where += ", with free indices" if not arrays and found.ufl_free_indices else ""
+    free = not arrays and bool(found.ufl_free_indices)
+    if given != shape or free:
+        where = f" at {shape[0]} points" if arrays else ", with free indices" * free
         raise ValueError(f"{what} has the shape {given}{where}; it must be {shape}.")
     return found
 

@@ -103,10 +103,7 @@ def stored(tensors: Floats, size: int = 6) -> Floats:
 
 def mean_of_shears(tangent: Floats) -> Floats:
     """Average derivatives (q, 3, 3, 3, 3) over kl and lk."""
-    mean = tangent.copy()
-    for k, m in INDEX[3:]:
-        mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2
-    return mean
+    return (tangent + tangent.swapaxes(3, 4)) / 2
 
 
 def upper_triangle(size: int) -> list[tuple[int, int]]:
