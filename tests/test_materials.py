@@ -18,7 +18,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
 from dolfinx_mortar.materials.law_check import law_at_point
-from dolfinx_mortar.materials.plasticity import wright_omega
+from dolfinx_mortar.materials.plasticity import increment
 from dolfinx_mortar.materials.protocol import create_law
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pressed_blocks import rejected
@@ -174,13 +174,13 @@ def test_uniaxial_saturation():
         pull(p, 450.0 + 1000.0 * plastic + 200.0 * (1 - math.exp(-30.0 * plastic)), plastic)
 
 
-def test_omega():
-    """Wright's function, omega + ln omega = y: to round-off below y = -9, else to 4e-5 omega."""
-    y, at = constants(1), np.array([-1e3, -700.0, -80.0, -20.0, -9.0, -2.0, -0.6, 0.0, 1.0, 30.0])
-    omega = tabulate(compile_kernel(ufl.as_vector([wright_omega(y[0])])), at[:, None])[:, 0]
-    error = np.abs(omega[1:] + np.log(omega[1:]) - at[1:])
-    assert omega[0] == 0.0 and (error[:4] < 1e-11).all()
-    assert (error < 4e-5 * (1.0 + omega[1:])).all()
+def test_increment_of_voce():
+    """M g + R (1 - exp(-b g)) = e for M = b = 1, up to the round-off of its addends."""
+    (x, y), at = constants(2), np.array([*itertools.product([1e-9, 0.1, 30.0], [1e-99, 0.1, 1e6])])
+    kernel = compile_kernel(ufl.as_vector(increment(x, y, 1, 1, ufl.ln(y))))
+    (g, slope), (e, R) = tabulate(kernel, at).T, at.T
+    assert (np.abs(g - R * np.expm1(-g) - e) <= 1e-14 * (e + R)).all()
+    np.testing.assert_allclose(slope, 1 / (1 + R * np.exp(-g)), rtol=1e-9)
 
 
 def test_without_isotropic_hardening_there_is_no_k():

@@ -16,7 +16,7 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.common.arguments import array, check, check_optional
+from dolfinx_mortar.common.arguments import FINITE, Rule, array, check, check_optional
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
@@ -103,11 +103,9 @@ class RigidBody:
 
     def pose(self, travel: Floats | None = None) -> Pose:
         """Present pose, or with another travel; a ValueError for NaN, and off an axis."""
-        position: Floats = np.array(self.position.value, dtype=np.float64)
-        rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
-        for name, value in (("position", position), ("rotation", rotation)):
-            if not np.isfinite(value).all():
-                raise ValueError(f"{name} is {value.tolist()}: set the Constant to finite numbers")
+        remedy = "set the Constant to finite numbers"
+        position = check("position", self.position.value, FINITE, remedy)
+        rotation = check("rotation", self.rotation.value.reshape(-1), FINITE, remedy)
         if self.revolved and (rotation.any() or position[0] != self.point[0]):
             raise ValueError(
                 f"position is {position.tolist()} and rotation {rotation.tolist()}: in an "
@@ -244,15 +242,12 @@ class Tool(RigidBody):
     """A shape and its pose; `began` is the pose at the last commit."""
 
     def __init__(self, comm: MPI.Comm, shape: Any, reference: Any, d: int) -> None:
-        if not isinstance(shape, Shape):
-            raise ValueError(
-                f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
-                "normal), or SignedDistance(phi, point)"
-            )
-        if len(shape.point) != d:
-            raise ValueError(
-                f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
-            )
+        fits = isinstance(shape, Shape) and len(shape.point) == d
+        remedy = (
+            f"give one of dolfinx_mortar.shapes in {d} coordinates, such as Plane(point, normal), "
+            "or SignedDistance(phi, point)"
+        )
+        check("shape", shape, Rule(remedy, lambda shape: shape if fits else None))
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
         self.comm, self.shape = comm, shape

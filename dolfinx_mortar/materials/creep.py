@@ -14,7 +14,14 @@ from typing import Any, ClassVar
 import ufl
 from dolfinx_mortar.common.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, shear_modulus
-from dolfinx_mortar.materials.protocol import PLASTIC, CheckedLaw, Parameter, Range
+from dolfinx_mortar.materials.protocol import (
+    NOT_NEGATIVE,
+    PLASTIC,
+    POSITIVE,
+    CheckedLaw,
+    Parameter,
+    Range,
+)
 from ufl.core.expr import Expr
 
 ROUNDS = 6  # of Newton's method, to round-off for exponents of 1 to 20
@@ -52,9 +59,9 @@ class Norton(CheckedLaw):
     elastic_stress = staticmethod(Elastic.elastic_stress)
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
-        "A": (0.0, math.inf, True),
+        "A": NOT_NEGATIVE,
         "n": (1.0, math.inf, True),
-        "dt": (0.0, math.inf, True),
+        "dt": NOT_NEGATIVE,
     }
 
     @staticmethod
@@ -112,8 +119,8 @@ class Viscoelastic(CheckedLaw):
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
         "g": (0.0, 1.0, True),
-        "tau": (0.0, math.inf, False),
-        "dt": (0.0, math.inf, True),
+        "tau": POSITIVE,
+        "dt": NOT_NEGATIVE,
     }
 
     @staticmethod

@@ -15,13 +15,15 @@ from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import as_tensors
 from dolfinx_mortar.materials.protocol import (
+    FINITE,
+    POSITIVE,
     CheckedLaw,
     Parameter,
     PointwiseLaw,
     Range,
     check_fields,
 )
-from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
+from dolfinx_mortar.materials.tensor import GRADIENT, INDEX, upper_triangle
 from ufl.core.expr import Expr
 
 
@@ -57,7 +59,7 @@ class Elastic(CheckedLaw):
     linear: ClassVar[bool] = True
     splits: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
-        "E": (0.0, math.inf, False),
+        "E": POSITIVE,
         "nu": (-1.0, 0.5, False),
     }
 
@@ -105,10 +107,8 @@ class Orthotropic(CheckedLaw):
 
     linear: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
-        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), (0.0, math.inf, False)),
-        **dict.fromkeys(
-            ("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), (-math.inf, math.inf, False)
-        ),
+        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), POSITIVE),
+        **dict.fromkeys(("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), FINITE),
     }
 
     @staticmethod
@@ -150,11 +150,14 @@ class Orthotropic(CheckedLaw):
 
 def _axes(p: Any) -> Expr:
     """Axes of the material as columns (3, 3)."""
-    (cz, sz), (cy, sy), (cx, sx) = ((ufl.cos(t), ufl.sin(t)) for t in (p.yaw, p.pitch, p.roll))
-    yaw = ufl.as_tensor([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    pitch = ufl.as_tensor([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    roll = ufl.as_tensor([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    return yaw * pitch * roll
+
+    def turn(i: int, j: int, angle: Expr) -> Expr:
+        R: Any = np.eye(3).tolist()
+        R[i][i] = R[j][j] = ufl.cos(angle)
+        R[i][j], R[j][i] = -ufl.sin(angle), ufl.sin(angle)
+        return ufl.as_matrix(R)
+
+    return turn(0, 1, p.yaw) * turn(2, 0, p.pitch) * turn(1, 2, p.roll)
 
 
 @dataclass(frozen=True)
@@ -213,9 +216,9 @@ class MooneyRivlin(CheckedLaw):
 
     strain: ClassVar[str] = "finite"
     ranges: ClassVar[Mapping[str, Range]] = {
-        "C10": (-math.inf, math.inf, False),
-        "C01": (-math.inf, math.inf, False),
-        "K": (0.0, math.inf, False),
+        "C10": FINITE,
+        "C01": FINITE,
+        "K": POSITIVE,
     }
 
     @staticmethod
@@ -259,7 +262,7 @@ class Ogden(PointwiseLaw):
     K: Parameter  # bulk modulus
 
     strain: ClassVar[str] = "finite"
-    ranges: ClassVar[Mapping[str, Range]] = {"K": (0.0, math.inf, False)}
+    ranges: ClassVar[Mapping[str, Range]] = {"K": POSITIVE}
 
     def __post_init__(self) -> None:
         given = self.mu, self.alpha
@@ -304,16 +307,16 @@ class Ogden(PointwiseLaw):
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
         logarithms.decompose(F - np.eye(3), np.empty((0, 3, 3)), x, logs, *tensors)
-        e, J = logs - logs.mean(axis=1, keepdims=True), np.exp(logs.sum(axis=1))[:, None]
+        D = np.eye(3) - 1 / 3
+        e, J = logs @ D, np.exp(logs.sum(axis=1))[:, None]
         T, L, G = p.K[:, None] * (J - 1) * J * np.ones(3), np.zeros((q, 3, 3)), np.zeros((q, 3))
         L += (p.K[:, None] * (2 * J - 1) * J)[..., None]
         first, second = np.array(INDEX[3:]).T
         apart = e[:, first] - e[:, second]
         for mu, alpha in zip(p.mu, p.alpha, strict=True):
             power = mu[:, None] * np.exp(alpha[:, None] * e)
-            T += power - power.mean(axis=1, keepdims=True)
-            slope = alpha[:, None, None] * (np.eye(3) * power[:, None] - power[..., None] / 3)
-            L += slope - slope.mean(axis=1, keepdims=True)
+            T += power @ D
+            L += D @ ((alpha[:, None] * power)[..., None] * D)
             # exact for coincident stretches
             t = alpha[:, None] * apart
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
@@ -321,7 +324,7 @@ class Ogden(PointwiseLaw):
         P, A = np.empty((q, 9)), np.empty((q, 45))
         law = np.hstack([T, L.reshape(q, 9), G])
         logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
-        return (*as_tensors(P, A, GRADIENT[3]), {})
+        return (*as_tensors(P, A, GRADIENT[3], upper_triangle(9)), {})
 
 
 def _twice_shear_modulus(p: Any) -> Any:

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Check of a law at one point."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
@@ -14,8 +12,7 @@ import numpy as np
 import ufl
 from dolfinx_mortar.common import arguments
 from dolfinx_mortar.common.arrays import EPS, Floats
-from dolfinx_mortar.common.kernels import compile_kernel, constants, tabulate
-from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
+from dolfinx_mortar.materials.logarithmic import CompiledLaw, LogarithmicLaw
 from dolfinx_mortar.materials.protocol import (
     PLASTIC,
     Law,
@@ -23,14 +20,9 @@ from dolfinx_mortar.materials.protocol import (
     grouped,
     named_parameters,
 )
-from dolfinx_mortar.materials.response import (
-    NORMAL,
-    PointValues,
-    elastic_response,
-    respond,
-    values_at_points,
-)
-from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
+from dolfinx_mortar.materials.response import PointValues, elastic_response
+from dolfinx_mortar.materials.tensor import INDEX
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.core.expr import Expr
 
 PATHS = 8
@@ -184,8 +176,8 @@ class LawAtPoint:
     law: Law
     finite: bool  # whether it is one of F, else of a small strain
     parameters: Mapping[str, float]
-    elastic: Callable[[Floats], Floats]  # small strain (3, 3) -> C : strain (3, 3)
-    values: Callable[..., PointValues]  # see `values_at_points`
+    elastic: Floats  # (9, 9), strain @ elastic is the elastic stress, entries row by row
+    values: Callable[..., PointValues]  # see `CompiledLaw.values`
 
     @property
     def rtol(self) -> float:
@@ -226,65 +218,17 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
                 f"out with numbers, dataclasses.replace(law, {name}=...)."
             )
         given[name] = float(getattr(value, "value", value))
-    e, p = _symbols(given, (3, 3))
-    kernel = compile_kernel(_entries(elastic_response(law, e, p)))
+    p = grouped({name: ufl.as_ufl(value) for name, value in given.items()})
+    units = (ufl.as_matrix(unit.tolist()) for unit in np.eye(9).reshape(9, 3, 3))
+    elastic = np.empty((9, 9))
+    for k, stress in enumerate(elastic_response(law, unit, p) for unit in units):
+        elastic[k] = [apply_algebra_lowering(stress[at])(()) for at in np.ndindex(3, 3)]
 
-    def elastic(strain: Floats) -> Floats:
-        return tabulate(kernel, np.array([[*strain.ravel(), *given.values()]])).reshape(3, 3)
-
-    values: Callable[..., PointValues]
     if finite and law.strain == "small":
-        values = LogarithmicLaw(law, list(given)).values
-    else:
-        update = law.update or _of_arrays(dataclasses.replace(law, plane_stress=False), given)
-        energy = law.energy if law.update else None
-        values = partial(values_at_points, dataclasses.replace(law, update=update, energy=energy))
-    return LawAtPoint(law, finite, given, elastic, values)
-
-
-def _of_arrays(law: Law, parameters: Mapping[str, float]) -> Callable[..., PointValues]:
-    """`update` of a law in UFL."""
-    e, D, *rest, p = _symbols(parameters, (3, 3), (3, 3), *law.state.values())
-    response = respond(law, e, dict(zip(law.state, rest, strict=True)), p)
-    psi = ufl.as_ufl(0.0 if response.energy is None else response.energy)
-    scalars = psi, elastic_response(law, NORMAL, p)[2, 2]
-    answers = [response.change(D), response.stress, *scalars, *response.updated.values()]
-    kernel = compile_kernel(_entries(*answers))
-    sizes = [9, 1, 1, *(9 if shape else 1 for shape in law.state.values())]
-
-    def update(strain: Floats, state: State, p: Any) -> PointValues:
-        q = len(strain)
-        given = np.tile(np.array(list(parameters.values())), (q, 1))
-        parts = strain, np.zeros((q, 9)), *state.values(), given
-        numbers = np.repeat(np.hstack([part.reshape(q, -1) for part in parts]), 9, axis=0)
-        numbers[:, 9:18] = np.tile(np.eye(9), (q, 1))  # directions of the changes
-        found = tabulate(kernel, numbers)
-        tangent = found[:, :9].reshape(q, 3, 3, 3, 3).transpose(0, 3, 4, 1, 2)
-        tangent = tangent if law.strain == "finite" else mean_of_shears(tangent)
-        stress, energy, moduli, *new = np.split(found[::9, 9:], np.cumsum(sizes)[:-1], axis=1)
-        updated = {name: v.reshape(state[name].shape) for name, v in zip(state, new, strict=True)}
-        psi = None if law.energy is None else energy[:, 0]
-        values = stress.reshape(q, 3, 3), tangent, updated
-        return PointValues(*values, energy=psi, elastic=moduli[:, 0])
-
-    return update
-
-
-def _symbols(parameters: Iterable[str], *shapes: tuple[int, ...]) -> list[Any]:
-    names = list(parameters)
-    numbers = iter(list(constants(sum(9 if shape else 1 for shape in shapes) + len(names))))
-    found = [
-        ufl.as_tensor([[next(numbers) for _ in range(3)] for _ in range(3)])
-        if shape
-        else next(numbers)
-        for shape in shapes
-    ]
-    return [*found, grouped({name: next(numbers) for name in names})]
-
-
-def _entries(*values: Expr) -> Expr:
-    every = ((value, at) for value in values for at in np.ndindex(value.ufl_shape))
-    return ufl.as_vector([value[at] if at else value for value, at in every])
+        return LawAtPoint(law, finite, given, elastic, LogarithmicLaw(law, list(given)).values)
+    dimension = 2 if law.plane_stress else 3
+    compiled = CompiledLaw(law, list(given), dimension=dimension, whole=True)
+    return LawAtPoint(law, finite, given, elastic, compiled.values)
 
 
 class _Judge:
@@ -295,8 +239,8 @@ class _Judge:
         self.rng, self._turns = (np.random.default_rng(s) for s in (seed, (seed, 1)))
         self.virgin: State = {name: np.zeros((1, *of)) for name, of in point.law.state.items()}
         self.found: list[dict[str, float]] = []
-        probes = np.diag([1.0, 0.0, 0.0]), np.array([[0.0, 0.5, 0.0], [0.5, 0.0, 0.0], [0.0] * 3])
-        self._stiffness = max(float(np.linalg.norm(point.elastic(e))) for e in probes)
+        probes = point.elastic[0], (point.elastic[1] + point.elastic[3]) / 2
+        self._stiffness = max(float(np.linalg.norm(stress)) for stress in probes)
         self._start = point(np.eye(3) * point.finite, self.virgin)
 
     def check_start(self) -> None:
@@ -318,7 +262,8 @@ class _Judge:
             length = float(np.linalg.svd(strain, compute_uv=False).min())
         else:
             length = float(np.linalg.norm(strain))
-            scale = max(float(np.linalg.norm(s)) for s in (here.stress, point.elastic(strain)))
+            stresses = here.stress, strain.ravel() @ point.elastic
+            scale = max(float(np.linalg.norm(stress)) for stress in stresses)
             modulus = scale / length
         sample = _Sample(point, strain, state, here, scale)
         if law.linear:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws compiled for points, and small-strain laws at finite strain: with a logarithmic strain.
+"""Laws at points, and small-strain laws at finite strain: with a logarithmic strain.
 
 Derivation: theory.md, Small-strain laws at finite strain; P is the dual stress. **Multiplicative
 form**, for isotropic laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic
@@ -31,7 +31,6 @@ from dolfinx_mortar.materials.response import (
     NORMAL,
     PointValues,
     elastic_response,
-    normal_equation,
     respond,
     solve_normal_strain,
     values_at_points,
@@ -41,6 +40,7 @@ from dolfinx_mortar.materials.tensor import (
     INDEX,
     from_components,
     from_entries,
+    mean_of_shears,
     stored,
     tensor_of,
     to_components,
@@ -60,13 +60,15 @@ class Start(NamedTuple):
 
 
 class CompiledLaw:
-    """A law in UFL as a function of strains at points, of H = F - I if it is one of F.
+    """A law, in UFL or of arrays, as a function of strains at points, of H = F - I if one of F.
 
     Attributes:
         components: row and column of the k stored entries of strain and stress, zz last in 2D.
     """
 
+    _state: Kernel | None = None  # new internal variables
     _elastic: Kernel | None = None  # C_zzzz in plane stress
+    _last: tuple[Floats, PointValues] | None = None  # arguments and values of a law of arrays
 
     def __init__(
         self,
@@ -75,6 +77,7 @@ class CompiledLaw:
         *,
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
+        whole: bool = False,
     ) -> None:
         """Compile a law in UFL; a ValueError if it raises or returns a wrong part.
 
@@ -82,10 +85,11 @@ class CompiledLaw:
             parameters: their names.
             dimension: 2 if strains are in the plane but for zz.
             jit: compiler of an expression.
+            whole: store all entries of strain, stress and tangent, which may be unsymmetric.
         """
         self.law, self._names = replace(law, plane_stress=False), parameters
-        self._flat = law.plane_stress
-        self.has_energy = law.energy is not None and law.update is None
+        self._flat, self._whole, self._finite = law.plane_stress, whole, law.strain == "finite"
+        self.has_energy = law.energy is not None and (law.update is None or self._finite)
         self._pairs = INDEX[: 4 if dimension == 2 else 6]
         self._set_entries(dimension)
         if law.update is None:
@@ -93,29 +97,39 @@ class CompiledLaw:
 
     def _set_entries(self, dimension: int) -> None:
         """Set the entries of stress, argument and state, and ij, km of the moduli L_ijkm."""
-        finite = self.law.strain == "finite"
         normal_last = tuple(sorted(self._pairs, key=lambda pair: pair == (2, 2)))
-        self.components = GRADIENT[dimension] if finite else normal_last
+        self._symmetric = not (self._finite or self._whole)
+        self.components = normal_last if self._symmetric else GRADIENT[dimension]
         self._arguments, self._width, self._remembers = self.components, len(self._pairs), False
-        upper = upper_triangle(len(self.components))
-        self._ways = [(self.components[a], self.components[b]) for a, b in upper]
+        self._ways = [(self.components[a], self.components[b]) for a, b in self._places]
+
+    @property
+    def _places(self) -> list[tuple[int, int]]:
+        """Row and column of the stored entries of the tangent, by the numbers of components."""
+        k = len(self.components)
+        return [*np.ndindex(k, k)] if self._whole else upper_triangle(k)
 
     def _compile(self, jit: Callable[[Expr], Kernel]) -> None:
         sizes = [len(self._pairs) if shape else 1 for shape in self._memory.values()]
-        law, small = self.law, self.law.strain == "small"
-        rest = iter(list(constants(len(self._arguments) + sum(sizes) + len(self._names))))
-        strain = from_entries(self._arguments, [next(rest) for _ in self._arguments], small)
+        law, symmetric, k = self.law, self._symmetric, len(self._arguments)
+        rest = iter(list(constants((1 + self._whole) * k + sum(sizes) + len(self._names))))
+        strain = from_entries(self._arguments, [next(rest) for _ in range(k)], symmetric)
         state = {PLASTIC: 0 * strain} if self._remembers else {}
         for name, shape in self._memory.items():
             tensor = [next(rest) for _ in self._pairs] if shape else []
             state[name] = from_components(ufl.as_vector(tensor)) if shape else next(rest)
-        p = grouped(dict(zip(self._names, rest, strict=True)))
-        response, changes = respond(law, strain, state, p), {}
-        for _, (k, m) in self._ways:
-            share = 0.5 if small and k != m else 1.0  # entries km and mk add up to one
-            changes[k, m] = response.change(from_entries([(k, m)], [share], small))
-        answers = [response.stress[pair] for pair in self._arguments]
-        answers += [changes[km][ij] for ij, km in self._ways]
+        p = grouped({name: next(rest) for name in self._names})
+        response = respond(law, strain, state, p)
+        answers = [response.stress[ij] for ij in self._arguments]
+        if self._whole:  # of one direction: compiled in a fraction of the time
+            change = response.change(from_entries(self._arguments, rest, False))
+            answers += [change[ij] for ij in self._arguments]
+        else:
+            changes = {}
+            for i, m in {km: None for _, km in self._ways}:
+                share = 0.5 if symmetric and i != m else 1.0  # entries im and mi add up to one
+                changes[i, m] = response.change(from_entries([(i, m)], [share], symmetric))
+            answers += [changes[km][ij] for ij, km in self._ways]
         answers += [] if response.energy is None else [response.energy]
         new = []
         for name, shape in law.state.items():
@@ -147,10 +161,12 @@ class CompiledLaw:
             return self.response(start, strain)
         self.find_normal(start, strain)
         stress, tangent, psi = self.response(start, strain)
-        a, b = np.array(upper_triangle(len(self.components))).T
-        normal = tangent[:, b == b[-1]]
-        tangent -= normal[:, a] * normal[:, b] / normal[:, -1:]
-        tangent[:, b == b[-1]], stress[:, -1] = 0.0, 0.0
+        a, b = np.array(self._places).T
+        last = b == b[-1], a == b[-1]
+        right = tangent[:, last[0]]
+        below = tangent[:, last[1]] if self._whole else right
+        tangent -= right[:, a] * below[:, b] / right[:, -1:]
+        tangent[:, last[0] | last[1]], stress[:, -1] = 0.0, 0.0
         return stress, tangent, psi
 
     def find_normal(self, start: Start, strain: Floats) -> None:
@@ -161,12 +177,12 @@ class CompiledLaw:
             trial[:, 2, 2] = z
             some = Start(*(part[points] if len(part) else part for part in start))
             stress, moduli, _ = self.response(some, trial)
-            if self._elastic is None:
-                return normal_equation(stress, moduli)
-            return normal_equation(stress, moduli, tabulate(self._elastic, some.numbers)[:, 0])
+            elastic = moduli if self._elastic is None else tabulate(self._elastic, some.numbers)
+            stiffest = np.abs(elastic).max(axis=1, initial=0.0)
+            return stress[:, -1], moduli[:, -1], stiffest, np.linalg.norm(stress, axis=1)
 
-        finite = self.components[-2] == (1, 1)
-        strain[:, 2, 2] = solve_normal_strain(self.law.name, equation, len(strain), finite=finite)
+        found = solve_normal_strain(self.law.name, equation, len(strain), finite=self._finite)
+        strain[:, 2, 2] = found
 
     def response(self, start: Start, strain: Floats) -> tuple[Floats, Floats, Floats]:
         """Stress, tangent and potential at q points.
@@ -177,25 +193,79 @@ class CompiledLaw:
 
         Returns:
             The k `components` of the stress, or P = d psi / dF (q, k); its derivative, the upper
-            triangle row by row (q, k (k + 1) / 2); psi (q,), zero without a potential.
+            triangle row by row (q, k (k + 1) / 2), all (q, k^2) if `whole`; psi (q,), zero without
+            a potential.
         """
         k = len(self.components)
         ((_, numbers, _),) = self._prepared(start, strain)
-        found = tabulate(self._moduli, numbers)
+        found = self._answers(numbers)
         psi = found[:, -1] if self.has_energy else np.zeros(len(found))
-        return found[:, :k], found[:, k : k + k * (k + 1) // 2], psi
+        return found[:, :k], found[:, k : k + len(self._ways)], psi
 
     def _prepared(self, start: Start, strain: Floats) -> Iterator[tuple[slice, Floats, Any]]:
         """Chunks of points, with the arguments of the law."""
         rows, columns = np.array(self._arguments).T
-        unit = np.eye(3) if self.law.strain == "finite" else np.zeros((3, 3))
-        start.numbers[:, : len(rows)] = (strain + unit)[:, rows, columns]
+        start.numbers[:, : len(rows)] = (strain + np.eye(3) * self._finite)[:, rows, columns]
         yield slice(None), start.numbers, None
+
+    def _answers(self, numbers: Floats) -> Floats:
+        """Stress, tangent and psi (if any) of the law; NaN where a law of arrays is undefined."""
+        if self.law.update is None and self._whole:
+            q, k = len(numbers), len(self._arguments)
+            turns = [
+                tabulate(self._moduli, np.hstack([numbers, np.tile(D, (q, 1))])) for D in np.eye(k)
+            ]
+            C = np.stack([found[:, k : 2 * k] for found in turns], axis=2)
+            return np.hstack([turns[0][:, :k], C.reshape(q, -1), turns[0][:, 2 * k :]])
+        if self.law.update is None:
+            return tabulate(self._moduli, numbers)
+        found = self._values(numbers)
+        T, L = found.stress, found.tangent
+        mirrored = L if self._whole else L.transpose(0, 3, 4, 1, 2)
+        columns = [T[:, *ij] for ij in self._arguments]
+        columns += [(L[:, *ij, *km] + mirrored[:, *ij, *km]) / 2 for ij, km in self._ways]
+        columns += [] if found.energy is None else [found.energy]
+        answers = np.stack(columns, axis=1)
+        answers[found.undefined] = np.nan
+        return answers
 
     def _updated(self, numbers: Floats) -> Floats:
         """Columns of the new internal variables."""
-        assert self._state is not None
-        return tabulate(self._state, numbers)
+        if self._state is not None:
+            return tabulate(self._state, numbers)
+        found = self._values(numbers).state.values()
+        return np.hstack([stored(v, self._width) if v.ndim == 3 else v[:, None] for v in found])
+
+    def _values(self, numbers: Floats) -> PointValues:
+        """Values of a law of arrays."""
+        if self._last is not None and np.array_equal(self._last[0], numbers):
+            return self._last[1]
+        strain, rest = np.split(numbers, [len(self._arguments)], axis=1)
+        state: dict[str, Floats] = {}
+        if self._remembers:
+            state[PLASTIC] = np.zeros((len(numbers), 3, 3))
+        for name, shape in self._memory.items():
+            part, rest = np.split(rest, [len(self._pairs) if shape else 1], axis=1)
+            state[name] = tensor_of(part) if shape else part[:, 0]
+        p: dict[str, Floats] = dict(zip(self._names, rest.T, strict=True))
+        found = values_at_points(self.law, tensor_of(strain, self._arguments), state, p)
+        self._last = numbers.copy(), found
+        return found
+
+    def values(
+        self, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
+    ) -> PointValues:
+        """Values at a strain, or F, (q, 3, 3), see `response.values_at_points`."""
+        change = np.ascontiguousarray(strain - np.eye(3) * self._finite)
+        start = self.start(len(strain), state, p)
+        found, A, psi = self.evaluate(start, change)
+        stress, tangent = as_tensors(found, A, self.components, self._places)
+        return PointValues(
+            stress,
+            tangent if self._finite else mean_of_shears(tangent),
+            self.update(start, change, state),
+            psi if self.has_energy else None,
+        )
 
     def update(
         self, start: Start, strain: Floats, state: Mapping[str, Floats]
@@ -223,6 +293,7 @@ class LogarithmicLaw(CompiledLaw):
 
     def _set_entries(self, dimension: int) -> None:
         law, pairs = self.law, self._pairs
+        self._symmetric = self._finite = True
         self.multiplicative, self.components = law.isotropic, GRADIENT[dimension]
         self._remembers = self.multiplicative and PLASTIC in law.state  # by the roots
         self._arguments = INDEX[:3] if law.isotropic else pairs  # of a law in its eigenvectors
@@ -259,51 +330,13 @@ class LogarithmicLaw(CompiledLaw):
             if self.multiplicative:
                 numbers[:, :3] = logs
             else:
-                logarithms.compose_stored(self._pairs, N, logs, numbers)
+                s = len(self._pairs)
+                numbers[:, :s] = stored(logarithms.compose(N, logs), s)
             yield some, numbers, parts
-
-    def _answers(self, numbers: Floats) -> Floats:
-        """T, L and psi (if any), see `logarithms`."""
-        if self.law.update is None:
-            return tabulate(self._moduli, numbers)
-        found = self._values(numbers)
-        T, L = found.stress, found.tangent
-        columns = [T[:, i, j] for i, j in self._arguments]
-        columns += [(L[:, *ij, *km] + L[:, *km, *ij]) / 2 for ij, km in self._ways]
-        return np.stack(columns, axis=1)
-
-    def _updated(self, numbers: Floats) -> Floats:
-        if self.law.update is None:
-            return super()._updated(numbers)
-        found = self._values(numbers).state.values()
-        return np.hstack([stored(v, self._width) if v.ndim == 3 else v[:, None] for v in found])
-
-    def _values(self, numbers: Floats) -> PointValues:
-        """Values of a law of arrays."""
-        strain, rest = np.split(numbers, [len(self._arguments)], axis=1)
-        state: dict[str, Floats] = {}
-        if self._remembers:
-            state[PLASTIC] = np.zeros((len(numbers), 3, 3))
-        for name, shape in self._memory.items():
-            part, rest = np.split(rest, [len(self._pairs) if shape else 1], axis=1)
-            state[name] = tensor_of(part) if shape else part[:, 0]
-        p: dict[str, Floats] = dict(zip(self._names, rest.T, strict=True))
-        return values_at_points(self.law, tensor_of(strain), state, p)
-
-    def values(
-        self, F: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
-    ) -> PointValues:
-        """Values at F (q, 3, 3), see `response.values_at_points`."""
-        H = np.ascontiguousarray(F - np.eye(3))
-        start = self.start(len(F), state, p)
-        P, A, psi = self.response(start, H)
-        energy = psi if self.has_energy else None
-        new = self.update(start, H, state)
-        return PointValues(*as_tensors(P, A, self.components), new, energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return 1 - |dev tau| / |dev T| (q,), zero where T is."""
-        P, _ = as_tensors(*self.response(start, H)[:2], self.components)
+        P, _ = as_tensors(*self.response(start, H)[:2], self.components, self._places)
         tau, kept = von_mises(stored(P @ np.swapaxes(H + np.eye(3), 1, 2))), np.ones(len(H))
         for some, numbers, _ in self._prepared(start, H):
             T = von_mises(self._answers(numbers)[:, : len(self._pairs)])
@@ -312,13 +345,12 @@ class LogarithmicLaw(CompiledLaw):
 
 
 def as_tensors(
-    P: Floats, A: Floats, components: Sequence[tuple[int, int]]
+    P: Floats, A: Floats, components: Sequence[tuple[int, int]], places: Sequence[tuple[int, int]]
 ) -> tuple[Floats, Floats]:
-    """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
-    stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
-    for n, entry in enumerate(components):
-        stress[:, *entry] = P[:, n]
-    for t, (a, b) in enumerate(upper_triangle(len(components))):
-        first, second = components[a], components[b]
-        tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
-    return stress, tangent
+    """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components, and of places of the moduli."""
+    q, k, at = len(P), len(components), np.array(components) @ [3, 1]
+    number, (a, b), tangent = np.empty((k, k), dtype=int), np.array(places).T, np.zeros((q, 9, 9))
+    number[b, a] = np.arange(len(a))
+    number[a, b] = np.arange(len(a))
+    tangent[:, at[:, None], at] = A[:, number]
+    return tensor_of(P, components), tangent.reshape(q, 3, 3, 3, 3)

@@ -69,34 +69,24 @@ def function_of(A: Floats, f: Callable[[Floats], Floats]) -> Floats:
     """Isotropic functions sum_a f(A_a) N_a (x) N_a of symmetric tensors A (q, 3, 3)."""
     D, N = A.copy(), np.empty_like(A)
     _diagonalise_all(D, N)
-    return _compose(N, f(D[:, range(3), range(3)]))
+    return compose(N, f(D[:, range(3), range(3)]))
 
 
-def _compose(N: Floats, values: Floats) -> Floats:
+def compose(N: Floats, values: Floats) -> Floats:
+    """Tensors sum_a values_a N_a (x) N_a (q, 3, 3)."""
     return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
-
-
-@numba.njit(**SETTINGS)
-def compose_stored(pairs, N, values, components):  # type: ignore[no-untyped-def]
-    """Fill the first columns of components (q, ..) with the stored sum_a values_a N_a N_a."""
-    for q in range(len(N)):
-        for p in range(len(pairs)):
-            i, j = pairs[p]
-            components[q, p] = 0.0
-            for a in range(3):
-                components[q, p] += N[q, i, a] * values[q, a] * N[q, j, a]
 
 
 @numba.njit(**SETTINGS)
 def congruent(G, A, B):  # type: ignore[no-untyped-def]
     """Set B to G A G^T, A symmetric."""
     for i in range(3):
-        first = G[i, 0] * A[0, 0] + G[i, 1] * A[1, 0] + G[i, 2] * A[2, 0]
-        second = G[i, 0] * A[0, 1] + G[i, 1] * A[1, 1] + G[i, 2] * A[2, 1]
-        third = G[i, 0] * A[0, 2] + G[i, 1] * A[1, 2] + G[i, 2] * A[2, 2]
         for j in range(i, 3):
-            B[i, j] = first * G[j, 0] + second * G[j, 1] + third * G[j, 2]
-            B[j, i] = B[i, j]
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += G[i, a] * A[a, b] * G[j, b]
+            B[i, j] = B[j, i] = total
 
 
 @numba.njit(**SETTINGS)
@@ -104,7 +94,9 @@ def add_change(h, A):  # type: ignore[no-untyped-def]
     """Add (I + h)^T (I + h) - I to A."""
     for i in range(3):
         for j in range(3):
-            A[i, j] += h[i, j] + h[j, i] + h[0, i] * h[0, j] + h[1, i] * h[1, j] + h[2, i] * h[2, j]
+            A[i, j] += h[i, j] + h[j, i]
+            for k in range(3):
+                A[i, j] += h[k, i] * h[k, j]
 
 
 @numba.njit(**SETTINGS)
@@ -176,9 +168,10 @@ def decompose(H, g, x, logs, N, y, m):  # type: ignore[no-untyped-def]
             C[:] = D
             add_change(g[q], C)
         diagonalise(C, N[q])
-        J = F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
-        J += F[0, 1] * (F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2])
-        J += F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
+        J = 0.0
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            J += F[0, i] * (F[1, j] * F[2, k] - F[1, k] * F[2, j])
         undefined = 0.0 if J > 0.0 else np.nan
         for a in range(3):
             x[q, a] = C[a, a] + undefined
@@ -252,7 +245,7 @@ def _moduli(pairs, law, x, N, f, h, S, M, T, R):  # type: ignore[no-untyped-def]
 def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
     """Fill P (q, k) and dP/dF, A (q, k (k + 1) / 2), upper triangle row by row."""
     s = len(pairs)
-    k = s + 1 if s == 4 else s + 3
+    k = P.shape[1]
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     f, h, T, R = np.empty((3, 3)), np.zeros((3, 3, 3)), np.empty(6), np.empty((6, 6))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
@@ -270,13 +263,13 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
                 Z[p, n] = y[q, i, a] * m[q, j, b] + y[q, i, b] * m[q, j, a]  # dC
                 P[q, n] += S[a, b] * Z[p, n] * (0.5 if p < 3 else 1.0)
         congruent(m[q], S, B)
-        _fill_tangent(s, M, B, Z, W, A[q])
+        _fill_tangent(s, k, M, B, Z, W, A[q])
 
 
 @numba.njit(**SETTINGS)
-def _fill_tangent(s, M, B, Z, W, A):  # type: ignore[no-untyped-def]
+def _fill_tangent(s, k, M, B, Z, W, A):  # type: ignore[no-untyped-def]
     """Set A to Z^T M Z + B, the stress part; upper triangle."""
-    k, t = s + 1 if s == 4 else s + 3, 0
+    t = 0
     for p in range(s):
         for n in range(k):
             W[p, n] = M[p, p] * Z[p, n]
@@ -312,7 +305,7 @@ def flow(strain: Floats, increment: Floats, g: Floats, N: Floats) -> Floats:
 
     D has the eigenvectors N and the eigenvalues increment (q, 3).
     """
-    D = _compose(N, np.expm1(-2 * increment))
+    D = compose(N, np.expm1(-2 * increment))
     change = D + g @ D + D @ g + g @ D @ g + 2 * g + g @ g
     new = function_of(change, lambda values: -np.log1p(values) / 2)
     flows = np.any(increment, axis=1, keepdims=True)

@@ -14,10 +14,12 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.common.arguments import check, one_of
-from dolfinx_mortar.common.arrays import EPS
+from dolfinx_mortar.common.arrays import EPS, TINY
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, lame_modulus, shear_modulus
 from dolfinx_mortar.materials.protocol import (
+    NOT_NEGATIVE,
     PLASTIC,
+    POSITIVE,
     CheckedLaw,
     Parameter,
     Range,
@@ -142,9 +144,9 @@ class VonMises(RadialReturn):
 
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
-        "Y": (0.0, math.inf, False),
-        "a": (0.0, math.inf, True),
-        "H": (0.0, math.inf, True),
+        "Y": POSITIVE,
+        "a": NOT_NEGATIVE,
+        "H": NOT_NEGATIVE,
     }
 
     @property
@@ -177,8 +179,8 @@ class VonMises(RadialReturn):
         """
         check_parameters(
             "VonMises.from_uniaxial",
-            yield_stress=(yield_stress, 0.0, math.inf, False),
-            plastic_modulus=(plastic_modulus, 0.0, math.inf, True),
+            yield_stress=(yield_stress, *POSITIVE),
+            plastic_modulus=(plastic_modulus, *NOT_NEGATIVE),
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
@@ -200,39 +202,19 @@ class VonMises(RadialReturn):
         return H / 2 * k**2
 
 
-# Below it exp(3 y) is round-off, and three terms of the series of omega are exact.
-SERIES_BELOW = float(np.log(np.cbrt(EPS)))
-
-
-def wright_omega(y: Any) -> Expr:
-    """Return w = W(exp(y)), w + ln w = y: one step of Halley's method, error below 4e-5 w."""
-    z, t, high = ufl.exp(ufl.min_value(y, 0.0)), y - 1, ufl.max_value(y, 1.0)
-    w = ufl.conditional(
-        ufl.lt(y, 4.0),
-        1 + t / 2 + t**2 / 16,  # Taylor polynomial at w = 1
-        high * (1 - 5.4 / (high + 16.0)),  # to 1 %
-    )
-    w = ufl.conditional(ufl.lt(y, -0.5), z / (1 + z), w)  # to 7 %
-    rest, a = y - w - ufl.ln(w), 1 + w
-    w = w * (1 + 2 * rest / (2 * a - rest / a))
-    return ufl.conditional(ufl.lt(y, SERIES_BELOW), z * (1 - z * (1 - 1.5 * z)), w)
-
-
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
     """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess; all positive.
 
-    `log_ratio` is ln(b rest / M). A step of Chebyshev's method corrects omega to round-off.
+    `log_ratio` is ln(b rest / M). Newton's method for v = log_ratio - b g, v + exp(v) = y, from
+    above; the last step is one for g.
     """
-    level = (excess - rest) / M
-    y = log_ratio - b * level
-    omega = wright_omega(y)  # b rest exp(-b g) / M
-    near = ufl.conditional(ufl.lt(y, 1.0), level + omega / b, (log_ratio - ufl.ln(omega)) / b)
-    fading = rest * ufl.exp(-b * near)
-    slope = 1 / (M + b * fading)
-    newton = slope * (excess - rest + fading * (1 + b * near))
-    change = b * (newton - near)
-    g = newton + slope * fading * change**2 / 2
-    return g, 1 / (M + b * fading * (1 - change * (1 - change / 2)))
+    level = b * (excess - rest) / M
+    y = log_ratio - level
+    v = ufl.min_value(y, ufl.ln(ufl.max_value(y, 1.0)))  # 0.57 off at most
+    for _ in range(4):  # to round-off
+        v -= (v + ufl.exp(v) - y) / (1 + ufl.exp(v))
+    w = ufl.exp(v)
+    return (level + w * (1 + log_ratio - v)) / (b * (1 + w)), 1 / (M * (1 + w))
 
 
 @dataclass(frozen=True)
@@ -243,8 +225,8 @@ class VonMisesVoce(RadialReturn):
 
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
-    The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function. Stress and consistent tangent are given by
+    The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), by Newton's
+    method to round-off. Stress and consistent tangent are given by
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g));
 
@@ -266,8 +248,8 @@ class VonMisesVoce(RadialReturn):
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {PLASTIC: (3, 3), ACCUMULATED: ()}
     ranges: ClassVar[Mapping[str, Range]] = {
         **VonMises.ranges,
-        "Q": (0.0, math.inf, True),
-        "b": (0.0, math.inf, False),
+        "Q": NOT_NEGATIVE,
+        "b": POSITIVE,
     }
 
     @classmethod
@@ -296,10 +278,10 @@ class VonMisesVoce(RadialReturn):
         """
         check_parameters(
             "VonMisesVoce.from_uniaxial",
-            yield_stress=(yield_stress, 0.0, math.inf, False),
-            modulus=(modulus, 0.0, math.inf, True),
-            saturation=(saturation, 0.0, math.inf, True),
-            rate=(rate, 0.0, math.inf, False),
+            yield_stress=(yield_stress, *POSITIVE),
+            modulus=(modulus, *NOT_NEGATIVE),
+            saturation=(saturation, *NOT_NEGATIVE),
+            rate=(rate, *POSITIVE),
         )
         root = math.sqrt(2 / 3)
         return cls(
@@ -315,7 +297,7 @@ class VonMisesVoce(RadialReturn):
     def _increment(excess: Expr, k: Expr, H: Expr, p: Any) -> tuple[Expr, Expr]:
         M = 2 * shear_modulus(p) + p.a + H
         # split: one part is the same at all points of a cell
-        log_ratio = ufl.ln(p.b * p.Q / M) - p.b * k
+        log_ratio = ufl.ln(ufl.max_value(p.b * p.Q / M, TINY)) - p.b * k
         return increment(excess, p.Q * ufl.exp(-p.b * k), M, p.b, log_ratio)
 
     @staticmethod
@@ -360,8 +342,8 @@ class DruckerPrager(CheckedLaw):
     isotropic: ClassVar[bool] = True
     ranges: ClassVar[Mapping[str, Range]] = {
         **Elastic.ranges,
-        "Y": (0.0, math.inf, False),
-        "beta": (0.0, math.inf, False),
+        "Y": POSITIVE,
+        "beta": POSITIVE,
     }
     elastic_stress = staticmethod(Elastic.elastic_stress)
 
@@ -387,7 +369,7 @@ class DruckerPrager(CheckedLaw):
         """
         check_parameters(
             "DruckerPrager.from_mohr_coulomb",
-            cohesion=(cohesion, 0.0, math.inf, False),
+            cohesion=(cohesion, *POSITIVE),
             friction_angle=(friction_angle, 0.0, 90.0, False),
         )
         sine, cosine = (f(math.radians(friction_angle)) for f in (math.sin, math.cos))

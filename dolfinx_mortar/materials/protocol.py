@@ -22,6 +22,9 @@ Constants and Functions may change between steps; nothing is compiled anew.
 """
 Range = tuple[float, float, bool]
 """Lower end, upper end (never allowed), and whether the lower end is allowed."""
+POSITIVE: Range = (0.0, math.inf, False)
+NOT_NEGATIVE: Range = (0.0, math.inf, True)
+FINITE: Range = (-math.inf, math.inf, False)
 
 
 def named_parameters(material: Any) -> dict[str, Any]:
@@ -57,11 +60,9 @@ def check_fields(law: Any) -> None:
     check_parameters(kind.__name__, **given)
     values = named_parameters(law)
     if all(isinstance(value, Real) for value in values.values()):
-        rules = getattr(kind, "conditions", None)
-        for rule, holds in conditions(kind.__name__, rules, values).items():
-            if not holds.all():
-                numbers = ", ".join(f"{name} = {value!r}" for name, value in values.items())
-                raise ValueError(f"{kind.__name__}: {rule} does not hold for {numbers}.")
+        for rule in wrong_values(kind.__name__, {}, getattr(kind, "conditions", None), values):
+            numbers = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+            raise ValueError(f"{kind.__name__}: {rule} does not hold for {numbers}.")
 
 
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
@@ -76,37 +77,27 @@ def wrong_values(
     law: str,
     ranges: Mapping[str, Range],
     rules: Callable[..., Any] | None,
-    values: Mapping[str, Floats],
+    values: Mapping[str, Any],
 ) -> dict[str, Bools]:
-    """Violated rules, in words, with masks (n,)."""
+    """Violated rules, in words, with masks (n,), or () for numbers."""
     found: dict[str, Any] = {}
     for name, (lower, upper, closed) in ranges.items():
         given = values[name]
         inside = (given >= lower if closed else given > lower) & (given < upper)
         rule = f"{name} in {'[' if closed else '('}{lower}, {upper})"
         found[rule] = ~(np.isfinite(given) & inside)
-    sound = ~np.any(list(found.values()), axis=0) if found else True
-    for rule, holds in conditions(law, rules, values).items():
-        found[rule] = sound & ~holds
-    return {rule: wrong for rule, wrong in found.items() if wrong.any()}
-
-
-def conditions(
-    law: str, rules: Callable[..., Any] | None, values: Mapping[str, Any]
-) -> dict[str, Bools]:
-    """Rules for several parameters, and whether or where they hold."""
-    if rules is None:
-        return {}
-    shape = np.shape(next(iter(values.values()), 0.0))
+    unsound = np.zeros(np.shape(next(iter(values.values()), 0.0)), dtype=bool)
+    sound = ~np.any([unsound, *found.values()], axis=0)
     try:
         with np.errstate(all="ignore"):
-            found = dict(rules(grouped(values)))
-        return {rule: np.broadcast_to(np.asarray(f, bool), shape) for rule, f in found.items()}
+            held = {} if rules is None else dict(rules(grouped(values)))
+        found |= {rule: sound & ~np.asarray(holds, bool) for rule, holds in held.items()}
     except Exception as error:
         raise ValueError(
             f"{law}.conditions raised {type(error).__name__}: {error}; it must return "
             "rule -> whether or where it holds, of numbers or arrays (n,)."
         ) from error
+    return {rule: wrong for rule, wrong in found.items() if wrong.any()}
 
 
 PLASTIC = "plastic_strain"
@@ -271,11 +262,14 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
     parts: dict[str, Any] = {part: _method(kind, part) for part in (*names, "volumetric")}
     parts |= {part: _fitting(material, part) for part in ("stress", "tangent")}
     state, linear = (getattr(material, part, None) for part in ("state", "linear"))
-    needed = {"state": state is not None, "linear": linear is not None}
-    needed["elastic_stress"] = parts["elastic_stress"] is not None
-    if parts["update"] is None:
-        needed["updated_state"] = not state or parts["updated_state"] is not None
-        needed["stress or energy"] = bool(parts["stress"] or parts["energy"])
+    given, arrays = {name for name, part in parts.items() if part}, parts["update"] is not None
+    needed = {
+        "state": state is not None,
+        "linear": linear is not None,
+        "elastic_stress": "elastic_stress" in given,
+        "updated_state": arrays or not state or "updated_state" in given,
+        "stress or energy": arrays or not given.isdisjoint({"stress", "energy"}),
+    }
     missing = [part for part, there in needed.items() if not there]
     if missing:
         remedies = "; ".join(_REMEDIES[part] for part in missing)

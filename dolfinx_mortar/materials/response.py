@@ -10,7 +10,6 @@ At finite strain e is F in the plane, sigma is P and z the stretch out of the pl
 linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z at each point.
 """
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -76,6 +75,7 @@ def solve_normal_strain(law: str, equation: Equation, q: int, *, finite: bool = 
     for iteration in range(LIMIT):
         now = z[rows]
         residual, modulus, elastic, stress = equation(rows, now)
+        below = residual < 0.0
         with np.errstate(all="ignore"):
             step = -residual / (0.5**iteration * elastic)
             new = now + np.where(modulus > 0.0, -residual / modulus, step)
@@ -84,17 +84,15 @@ def solve_normal_strain(law: str, equation: Equation, q: int, *, finite: bool = 
             # half of the digits suffice before the last, quadratic iteration
             allowed = np.maximum(HALF_OF_DIGITS * stress, ROUND_OFF * elastic * finite)
             small = (np.abs(residual) <= allowed) & np.isfinite(stress)
-            low[rows] = np.where(~small & (residual < 0.0), now, low[rows])
-            high[rows] = np.where(~small & ~(residual < 0.0), now, high[rows])
-            middle = (low[rows] + high[rows]) / 2
-            bracketed = np.isfinite(middle)
-            outside = ~small & ~((low[rows] < new) & (new < high[rows]))
-            ends = (middle == low[rows]) | (middle == high[rows])
-            narrow = outside & bracketed & ends
+            a = low[rows] = np.where(below, now, low[rows])
+            b = high[rows] = np.where(below, high[rows], now)
+            middle = (a + b) / 2
+            bracketed, outside = np.isfinite(middle), ~small & ~((a < new) & (new < b))
+            narrow = outside & bracketed & ((middle == a) | (middle == b))
         new = np.where(outside, np.where(bracketed, middle, now + step), new)
         z[rows] = np.where(residual == 0.0, now, new)
         # a law undefined from the start counts as finished
-        done = small | narrow | (residual == 0.0) | (np.isnan(stress) & (iteration == 0))
+        done = small | narrow | (np.isnan(stress) & (iteration == 0))
         rows = rows[~done]
         if not rows.size:
             return z
@@ -201,11 +199,9 @@ def _guarded(law: Law, method: str, *arguments: Any) -> Any:
         return getattr(law, method)(*arguments)
     except Exception as error:
         wanted = _ARGUMENTS.get(method, "(strain, state, p)")
-        where = f"it is called as a static method, {method}{wanted}, with UFL"
-        if isinstance(arguments[0], np.ndarray):
-            where = f"at {len(arguments[0])} points"
         raise ValueError(
-            f"{law.name}.{method} raised {type(error).__name__}: {error} ({where}){_remedy(error)}"
+            f"{law.name}.{method} raised {type(error).__name__}: {error} (it is called as a static "
+            f"method, {method}{wanted}){_remedy(error)}"
         ) from error
 
 
@@ -222,9 +218,9 @@ def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
         wanted = "an array" if arrays else "UFL"
         raise ValueError(f"{what} is a {type(value).__name__}; it must be {wanted}.") from error
     given = found.shape if arrays else found.ufl_shape
-    if given != shape or (not arrays and found.ufl_free_indices):
-        where = f" at {shape[0]} points" if arrays else ""
-        where += ", with free indices" if not arrays and found.ufl_free_indices else ""
+    free = not arrays and bool(found.ufl_free_indices)
+    if given != shape or free:
+        where = f" at {shape[0]} points" if arrays else ", with free indices" * free
         raise ValueError(f"{what} has the shape {given}{where}; it must be {shape}.")
     return found
 
@@ -236,9 +232,7 @@ class PointValues:
     stress: Floats  # (q, 3, 3), at finite strain P
     tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
-    normal: Floats | None = None  # (q,) z of plane stress, see `solve_normal_strain`
-    energy: Floats | None = None  # (q,) of a law of F that has one
-    elastic: Floats | None = None  # (q,) C_zzzz of `elastic_stress`, of a law in UFL
+    energy: Floats | None = None  # (q,)
 
     @property
     def undefined(self) -> Bools:
@@ -259,68 +253,9 @@ def values_at_points(
 
     Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,) by name.
     """
-    z, unit = None, 1.0 if law.strain == "finite" else 0.0
-    if law.plane_stress:
-        z = _normal_at_points(law, strain, state, p)
-        strain = _flat(strain, unit + z)
-    found = _updated(law, strain, state, p)
-    if unit and law.energy is not None:
-        psi = _call(law, "energy", (len(strain),), strain, state, grouped(p))
-        found = dataclasses.replace(found, energy=psi)
-    return found if z is None else _condensed(found, z)
-
-
-def _flat(strain: Floats, normal: Floats) -> Floats:
-    whole = np.zeros_like(strain)
-    whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
-    return whole
-
-
-def _normal_at_points(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
-) -> Floats:
-    """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
-    finite = law.strain == "finite"
-
-    def equation(points: Ints, z: Floats) -> Sequence[Floats]:
-        some = _flat(strain[points], 1.0 + z if finite else z)
-        here = ({n: v[points] for n, v in values.items()} for values in (state, p))
-        found = _updated(law, some, *here)
-        moduli = found.tangent.reshape(-1, 81)
-        return normal_equation(found.stress.reshape(-1, 9), moduli, found.elastic)
-
-    return solve_normal_strain(law.name, equation, len(strain), finite=finite)
-
-
-def normal_equation(
-    stress: Floats, tangent: Floats, elastic: Floats | None = None
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Values of an `Equation` at q points, of components (q, ..) of which zz is the last.
-
-    Without elastic moduli (q,) the largest one of the tangent.
-    """
-    stiffest = np.abs(tangent).max(axis=1, initial=0.0) if elastic is None else elastic
-    return stress[:, -1], tangent[:, -1], stiffest, np.linalg.norm(stress, axis=1)
-
-
-def _condensed(found: PointValues, z: Floats) -> PointValues:
-    stress, C = found.stress.copy(), found.tangent
-    stress[:, 2], stress[:, :, 2] = 0.0, 0.0
-    with np.errstate(all="ignore"):
-        modulus = C[:, 2, 2, 2, 2][:, None, None, None, None]
-        tangent = C - np.einsum("qij,qkl->qijkl", C[..., 2, 2], C[:, 2, 2]) / modulus
-    for axis in range(1, 5):
-        np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
-    return dataclasses.replace(found, stress=stress, tangent=tangent, normal=z)
-
-
-def _updated(
-    law: Law, strain: Floats, state: Mapping[str, Floats], p: Mapping[str, Floats]
-) -> PointValues:
-    where, q = f"{law.name}.update", len(strain)
-    found = _guarded(law, "update", strain, state, grouped(p))
-    if isinstance(found, PointValues):  # of a law in UFL
-        return found
+    where, q, finite = f"{law.name}.update", len(strain), law.strain == "finite"
+    given = strain, state, grouped(p)
+    found = _guarded(law, "update", *given)
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"
@@ -330,8 +265,9 @@ def _updated(
     C = _shaped(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
         _shaped(f"{where}: the stress", stress, (q, 3, 3)),
-        mean_of_shears(C) if law.strain == "small" else C,
+        C if finite else mean_of_shears(C),
         {n: _shaped(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        _call(law, "energy", (q,), *given) if finite and law.energy is not None else None,
     )
 
 

@@ -82,15 +82,16 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
     return np.sqrt(1.5) * frobenius_norm(deviator)
 
 
-def tensor_of(components: Floats) -> Floats:
-    """Symmetric tensors (q, 3, 3) of stored components (q, 3, 4 or 6).
+def tensor_of(components: Floats, entries: Sequence[tuple[int, int]] = INDEX) -> Floats:
+    """Tensors (q, 3, 3) of some entries (q, ..), and their mirrors unless these are given.
 
     >>> tensor_of(np.array([[1.0, 2.0, 3.0, 4.0]]))[0].tolist()
     [[1.0, 4.0, 0.0], [4.0, 2.0, 0.0], [0.0, 0.0, 3.0]]
     """
     tensors = np.zeros((len(components), 3, 3))
-    for k, (i, j) in enumerate(INDEX[: components.shape[1]]):
-        tensors[:, i, j] = tensors[:, j, i] = components[:, k]
+    rows, columns = np.array(entries[: components.shape[1]]).T
+    tensors[:, columns, rows] = components
+    tensors[:, rows, columns] = components
     return tensors
 
 
@@ -102,10 +103,7 @@ def stored(tensors: Floats, size: int = 6) -> Floats:
 
 def mean_of_shears(tangent: Floats) -> Floats:
     """Average derivatives (q, 3, 3, 3, 3) over kl and lk."""
-    mean = tangent.copy()
-    for k, m in INDEX[3:]:
-        mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2
-    return mean
+    return (tangent + tangent.swapaxes(3, 4)) / 2
 
 
 def upper_triangle(size: int) -> list[tuple[int, int]]:

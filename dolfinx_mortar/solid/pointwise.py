@@ -2,7 +2,6 @@
 """Laws evaluated at the integration points before each assembly; forms read the results."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from mpi4py import MPI
 
@@ -15,11 +14,8 @@ from dolfinx_mortar.common.arrays import Bools, Floats, Ints
 from dolfinx_mortar.common.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import CompiledLaw, LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law
-from dolfinx_mortar.materials.response import Response, values_at_points
+from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import (
-    COMPONENTS,
-    GRADIENT,
-    INDEX,
     contract,
     from_entries,
     stored,
@@ -29,40 +25,6 @@ from dolfinx_mortar.materials.tensor import (
 from dolfinx_mortar.solid.laws import Region
 from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function
 from ufl.core.expr import Expr
-
-
-class LawOfArrays:
-    """A law of arrays with the methods of `CompiledLaw`."""
-
-    def __init__(self, law: Law, dimension: int) -> None:
-        self.law, finite = law, law.strain == "finite"
-        self.components = GRADIENT[dimension] if finite else INDEX[: len(COMPONENTS[dimension])]
-        self.has_energy = finite and law.energy is not None
-        self._unit = np.eye(3) * finite
-        self._new: dict[str, Floats] = {}
-
-    def start(self, q: int, state: dict[str, Floats], parameters: dict[str, Floats]) -> Any:
-        """Data of a step."""
-        return state, parameters
-
-    def evaluate(self, start: Any, strain: Floats) -> tuple[Floats, Floats, Floats]:
-        """Stress, tangent and energy, NaN where the new state is; z is set in plane stress."""
-        found = values_at_points(self.law, strain + self._unit, *start)
-        rows, columns = np.array(self.components).T
-        stress, psi = found.stress[:, rows, columns], np.zeros(len(strain))
-        stress[found.undefined] = np.nan
-        if found.normal is not None:
-            strain[:, 2, 2] = found.normal
-        self._new = found.state
-        return (
-            stress,
-            packed(found.tangent, self.components),
-            psi if found.energy is None else found.energy,
-        )
-
-    def update(self, start: Any, strain: Floats, state: dict[str, Floats]) -> dict[str, Floats]:
-        """New internal variables of the last `evaluate`."""
-        return self._new
 
 
 class PointValuesOfRegion:
@@ -108,19 +70,16 @@ class PointValuesOfRegion:
         stress = from_entries(entries, self._stress, not finite)
         self.response = Response(stress, self._energy, region.tensors(self._new), self._change)
 
-    def _create_law(self) -> CompiledLaw | LawOfArrays:
+    def _create_law(self) -> CompiledLaw:
         """Compile the law once for all ranks, or load it; collective."""
 
         def compiled(vector: Expr) -> Kernel:
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        law, names, d = self.region.law, self.region.names, self._mesh.geometry.dim
-        if self._finite and law.strain == "small":
-            return LogarithmicLaw(law, names, dimension=d, jit=compiled)
-        if law.update is not None:
-            return LawOfArrays(law, d)
-        return CompiledLaw(law, names, dimension=d, jit=compiled)
+        law, d = self.region.law, self._mesh.geometry.dim
+        kind = LogarithmicLaw if self._finite and law.strain == "small" else CompiledLaw
+        return kind(law, self.region.names, dimension=d, jit=compiled)
 
     def _change(self, direction: Expr) -> Expr:
         entries = self.at_points.components
@@ -261,11 +220,3 @@ def largest_stress_lost(
     shares = maximum(comm, *local)
     worst = int(np.argmax(shares))
     return float(shares[worst]), parts[worst].region.law.name
-
-
-def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
-    """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
-    at = np.array(entries) @ [3, 1]
-    a, b = at[np.array(upper_triangle(len(entries)))].T
-    C = tangent.reshape(len(tangent), 9, 9)
-    return np.asarray((C[:, a, b] + C[:, b, a]) / 2)

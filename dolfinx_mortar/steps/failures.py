@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank, largest
+from dolfinx_mortar.algebra.parallel import any_rank, is_defined_here, largest
 from dolfinx_mortar.audit.audit import find_free_motions
 from dolfinx_mortar.common.arrays import Floats
 from dolfinx_mortar.common.spaces import with_values
@@ -139,13 +139,12 @@ def _hints_on_terms_and_laws(problem: ContactProblem) -> list[str]:
     ]
     if hints and not problem.solid.kinematics.plane_stress:
         hints.append(CLOSED)
-    package = __name__.partition(".")[0]
     kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
-    own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
+    own = [kind.__name__ for kind in kinds if not is_defined_here(kind)]
     if own:
         hints.append(
-            f"{', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
-            "convex and its tangent the derivative of its stress"
+            f"{', '.join(own)}: dolfinx_mortar.materials.check tells whether the potential of a "
+            "law is convex and its tangent the derivative of its stress"
         )
     return hints
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
-from dolfinx_mortar.common.arguments import Rule, as_numbers, check, check_optional, instance
+from dolfinx_mortar.common.arguments import Rule, array, check, check_optional, instance
 from dolfinx_mortar.common.arrays import SAME, Floats
 
 Rows = list[list[float]]
@@ -76,14 +76,11 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
     return Ramp(constant, levels, values)
 
 
-def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
+def _row(shape: tuple[int, ...], row: Any) -> Floats | None:
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
-    level, value = as_numbers(row[0]), as_numbers(row[1])
-    if level is None or value is None or (level.shape, value.shape) != ((), shape):
-        return None
-    numbers = [float(level), *map(float, value.ravel())]
-    return numbers if np.isfinite(numbers).all() else None
+    level, value = array(()).read(row[0]), array(shape).read(row[1])
+    return None if level is None or value is None else np.append(level, value)
 
 
 def notes_on_unread(given: Mapping[str, Any], read: Sequence[Any] | None) -> list[str]:
