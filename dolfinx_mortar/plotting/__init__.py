@@ -12,7 +12,7 @@ dolfinx_mortar[demo]``). All functions are collective and gather on rank 0.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import cycle
@@ -84,7 +84,8 @@ def mesh(
     layers = [(gather_bodies(V, x, values[:owned], at_nodes=False), cell_tags)]
     if facet_tags is not None:
         layers.append((_gather_facets(V, x, facet_tags), facet_tags))
-    return _on_rank_0(mesh, file, view, ax, "draw_mesh", layers, panes=len(layers))
+    to = file, view, ax
+    return _on_rank_0(mesh, to, lambda drawer, on: drawer.draw_mesh(on, layers), len(layers))
 
 
 def field(
@@ -125,7 +126,9 @@ def field(
     bodies = gather_bodies(V, _moved(V, solid.u, scale), values, name in of_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
     tools = [one.tool for one in every if one.tool is not None]
-    return _on_rank_0(V.mesh, file, view, ax, "draw_field", bodies, name, tools)
+
+    to = file, view, ax
+    return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_field(on, bodies, name, tools))
 
 
 def pressure(
@@ -164,7 +167,8 @@ def pressure(
         sides += [] if side is None else [(repr(one), side)]
     # one title for all sides: the pressure of a contact is a normal traction, too
     title = "contact pressure" if all(one.unilateral for one in chosen) else "normal traction"
-    return _on_rank_0(V.mesh, file, view, ax, "draw_pressure", sides, title)
+    to = file, view, ax
+    return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_pressure(on, sides, title))
 
 
 def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
@@ -175,13 +179,16 @@ def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
 
 
 def _on_rank_0(
-    domain: dmesh.Mesh, file: File, view: Any, ax: Any, draw: str, *what: Any, panes: int = 1
+    domain: dmesh.Mesh,
+    to: tuple[File, Any, Any],
+    draw: Callable[[Any, Any], Any],
+    panes: int = 1,
 ) -> Any:
     """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective.
 
-    `draw` is a function of `in_plane` and `in_space`, and may return a direction to look from.
+    `draw` may return a direction to look from.
     """
-    dim = domain.geometry.dim
+    dim, (file, view, ax) = domain.geometry.dim, to
     with raised_together(domain.comm):
         check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
         name, given, where = ("view", view, "space") if dim == 2 else ("ax", ax, "the plane")
@@ -200,7 +207,7 @@ def _on_rank_0(
     with raised_together(domain.comm):
         if domain.comm.rank == 0:
             result = drawer.begin(file, ax, panes)
-            own = getattr(drawer, draw)(result, *what)
+            own = draw(drawer, result)
             drawer.finish(result, file, own if view is None else view)
     return result
 
@@ -248,14 +255,6 @@ class Parts:
             on = self.values == tag
             parts = replace(self, nodes=self.nodes[on], values=self.values[on])
             yield names.get(int(tag), f"tag {tag}"), colour, parts
-
-
-def cut_near(tool: Any, box: Floats) -> tuple[Any, Any]:
-    """Points (n, d) and lines or triangles (m, d) of a tool near a box (2, d)."""
-    pose, corners = tool.pose(), np.stack(np.meshgrid(*box.T), axis=-1)
-    within = pose.to_tool(corners.reshape(-1, len(box.T)))
-    points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
-    return pose.to_space(points), cells
 
 
 def gather_bodies(

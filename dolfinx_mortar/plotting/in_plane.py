@@ -10,8 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.plotting import SIDES, Parts, cut_near
+from dolfinx_mortar.plotting import SIDES, Parts
 
+GRID = 400
+"""Points along each side of the box in which tools are drawn."""
+
+TOOL = "#b8b8b8"
 BODIES = ("#c6d8ea", "#ecd3b4", "#cfe3c4", "#dccbe6", "#e8e0b0", "#d9d9d9")
 
 
@@ -48,7 +52,7 @@ def draw_mesh(axes: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -> N
 
 
 def draw_field(axes: Any, cells: Parts, name: str, tools: list[Any]) -> None:
-    """Draw a field of cells (flat) or nodes (shaded) with its scale, and the outlines of tools."""
+    """Draw a field of cells (flat) or nodes (shaded) with its scale, and the interior of tools."""
     if cells.at_nodes:
         x, y = cells.x[:, :2].T
         style = {"shading": "gouraud", "cmap": "viridis"}
@@ -60,11 +64,15 @@ def draw_field(axes: Any, cells: Parts, name: str, tools: list[Any]) -> None:
     _frame(axes)
     if not tools:
         return
-    box = cells.box[:, :2]
+    low, high = cells.box
+    x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
     for tool in tools:
-        points, lines = cut_near(tool, box)
-        axes.add_collection(LineCollection(points[lines], colors="#404040", linewidths=1.0))
-        axes.set(xlim=box[:, 0], ylim=box[:, 1])
+        phi = tool.shape.values(tool.pose().to_tool(points.reshape(-1, 2))).reshape(GRID, GRID)
+        if phi.min() < 0.0:
+            axes.contourf(x, y, phi, levels=[phi.min(), 0.0], colors=[TOOL], zorder=0.5)
+            axes.contour(x, y, phi, levels=[0.0], colors=["#404040"], linewidths=1.0)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
 def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None:

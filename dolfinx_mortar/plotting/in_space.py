@@ -14,7 +14,7 @@ import numpy as np
 import pyvista
 
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.plotting import SIDES, Parts, cut_near
+from dolfinx_mortar.plotting import SIDES, Parts
 
 TOOL = "#808080"
 BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # also of their names
@@ -66,11 +66,15 @@ def draw_mesh(plotter: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -
 def draw_field(plotter: Any, outside: Parts, name: str, tools: list[Any]) -> None:
     """Draw a field of cells (flat) or nodes (shaded) with its scale, and transparent tools."""
     _add_values(plotter, outside, name)
+    low, high = outside.box
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     for tool in tools:
-        points, cells = cut_near(tool, outside.box)
+        pose = tool.pose()
+        within = pose.to_tool(corners)
+        points, cells = tool.cut(within.min(axis=0), within.max(axis=0))
         if len(cells):
-            surface: Any = pyvista.PolyData.from_regular_faces(points, cells)
-            clipped = surface.clip_box(outside.box.T.ravel(), invert=False)
+            surface: Any = pyvista.PolyData.from_regular_faces(pose.to_space(points), cells)
+            clipped = surface.clip_box(np.column_stack([low, high]).ravel(), invert=False)
             if clipped.n_points:
                 style = {"color": TOOL, "opacity": 0.35, "smooth_shading": True}
                 plotter.add_mesh(clipped.extract_surface(), **style)
