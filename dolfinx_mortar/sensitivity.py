@@ -171,14 +171,15 @@ class _Step:
     """A converged step, and what is beside it."""
 
     def __init__(self, problem: ContactProblem, of: Sequence[Any], to: Any) -> None:
-        last, outcome = to if isinstance(to, Sensitivity) else None, problem.ended_here()
+        remembers = bool(problem.solid.state) or problem.system.has_friction
+        chain, outcome = isinstance(to, Sensitivity), problem.ended_here()
+        last = to if chain and remembers else None
         committed, interfaces, at = problem.committed, problem.interfaces, problem.owned_u
         off, gone = any_rank(
             problem.comm,
             not (committed.begun and np.array_equal(committed.displacement, at)),
             last is not None and not np.array_equal(last.at, committed.displacement),
         )
-        remembers = bool(problem.solid.state) or problem.system.has_friction
         with_state = any(term.state for _, term in problem.terms.named)
         on_tools = any(one.law and one.tool for one in interfaces)
         for why, wrong in {
@@ -196,7 +197,7 @@ class _Step:
                 raise ValueError(f"problem: no derivatives here, {why}")
         self.problem, self.notes, self.moves = problem, list[str](), False
         self.whole = problem.X, problem.system
-        self.to = check("to", to if last is None else last.to, LIST)
+        self.to = check("to", to.to if chain else to, LIST)
         self.of = [check(f"of[{k}]", q, QUANTITY) for k, q in enumerate(check("of", of, LIST))]
         ended = outcome or committed
         self.level = committed.level if ended.level is None else ended.level

@@ -293,6 +293,20 @@ def wavy(h, degree, **options):
 
 
 @pytest.mark.mpi
+def test_elastic_bodies_have_no_history():
+    """After load steps as in one step, without and with their result."""
+    problem, of, to = elastic()
+    dm.newton(problem, rtol=1e-10)
+    expected = dm.sensitivity(problem, of=[of], to=to).values[0]
+    other, of, to = elastic()
+    position = to[2][0]
+    ramp = {position: [(0.0, (0.0, R)), (1.0, (0.0, R - PRESS))]}
+    for _ in dm.load_steps(other, [0.5, 1.0], ramp=ramp, rtol=1e-10, progress=False):
+        to = dm.sensitivity(other, of=[of], to=to)
+    assert np.abs(to.values[0] - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize(("degree", "geometry"), [(1, "updated"), (2, "reference")])
 def test_coordinates_of_a_side(degree, geometry):
     options = {"degree": degree, "geometry": geometry}
