@@ -48,13 +48,9 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    points, weights, start = [], [], [0]
-    for degree in range(2, _HIGHEST + 2, 2):
-        p, w = rule_on("triangle", degree)
-        points.append(p)
-        weights.append(w)
-        start.append(start[-1] + len(w))
-    return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
+    found = [rule_on("triangle", degree) for degree in range(2, _HIGHEST + 2, 2)]
+    points, weights = map(np.concatenate, zip(*found, strict=True))
+    return points, weights, np.cumsum([0, *(len(w) for _, w in found)])
 
 
 @numba.njit(**KERNEL)

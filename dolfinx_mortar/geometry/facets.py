@@ -268,7 +268,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     dN = facets.element.functions(xi)[1]
     dual, normal = dual_basis(dN @ facets.x[which])
     size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
-    return np.swapaxes(dN, 1, 2) @ dual, (normal / size[:, None])
+    return np.swapaxes(dN, 1, 2) @ dual, normal / size[:, None]
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:

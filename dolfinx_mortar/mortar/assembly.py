@@ -7,7 +7,7 @@ D, M and N (eqs. 16 to 20) have the entries of the solver's `operators`, times t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -110,7 +110,7 @@ def _evaluate(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
-    nodes = (W.element.basix_element.points)[cells.places[which]]
+    nodes = W.element.basix_element.points[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
     of_W, of_V = _tabulate(W, xi), _tabulate(V, xi)
     x = np.einsum("nk,nki->ni", of_W[0], cells.x[which])
@@ -250,9 +250,15 @@ def assemble_mortar(
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
     """
     check_space(V, scalar=True)
-    given: dict[str, Any] = {"facet_tags": facet_tags, "slave": slave, "master": master, "u": u}
-    given |= {"weight": weight, "feature_angle": feature_angle}
-    check_same_on_all_ranks(V.mesh.comm, **given)
+    check_same_on_all_ranks(
+        V.mesh.comm,
+        facet_tags=facet_tags,
+        slave=slave,
+        master=master,
+        u=u,
+        weight=weight,
+        feature_angle=feature_angle,
+    )
     if weight is not None and not callable(weight):
         raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")
     if feature_angle is not None:
