@@ -18,7 +18,7 @@ from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import check, instance, number
-from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs, place
 from dolfinx_mortar.common.spaces import check_space
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
@@ -79,9 +79,9 @@ class Conductance:
         found = np.where(closed, shut, apart)
         with raised_together(V.mesh.comm):
             for i in np.flatnonzero(~((found >= 0.0) & (found < np.inf))):
-                x = ", ".join(f"{v:.4g}" for v in V.tabulate_dof_coordinates()[i])
+                x = place(V.tabulate_dof_coordinates()[i])
                 raise ValueError(
-                    f"the conductance of {self.interface!r} is {found[i]:g} at ({x}), pressure "
+                    f"the conductance of {self.interface!r} is {found[i]:g} at {x}, pressure "
                     f"{at[0][i]:g}: give a law that is finite and not negative"
                 )
         return found

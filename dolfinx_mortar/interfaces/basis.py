@@ -8,7 +8,7 @@ A slave node of several interfaces has multipliers of only one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from graphlib import TopologicalSorter
 from itertools import permutations
 
@@ -40,12 +40,12 @@ from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 class Claims:
     """Owners of slave nodes, and order of the interfaces."""
 
-    owner: Ints  # (owned nodes,)
-    banned: Sequence[Bools]  # of each (local nodes,): slave nodes of others
+    owner: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int32))  # (owned nodes,)
+    banned: Sequence[Bools] = ()  # of each (local nodes,): slave nodes of others
     # i depends on slave nodes of k: T_i is left of T_k
-    dependencies: frozenset[tuple[int, int]]
-    order: Sequence[int]  # of the transformations
-    notes: Sequence[str]
+    dependencies: frozenset[tuple[int, int]] = frozenset()
+    order: Sequence[int] = ()  # of the transformations
+    notes: Sequence[str] = ()
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:

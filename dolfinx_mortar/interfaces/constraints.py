@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.common.arguments import NOT_NEGATIVE, Rule, array, check, is_number
-from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints, place
 from dolfinx_mortar.common.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
 
@@ -235,9 +235,9 @@ class FrictionLaw:
         bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
         with raised_together(comm):
             if len(bad):
-                at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[bad[0]])
+                at = place(scalar.tabulate_dof_coordinates()[bad[0]])
                 raise ValueError(
-                    f"{self.name} is {values[bad[0]]:g} at ({at}): every value has to be finite "
+                    f"{self.name} is {values[bad[0]]:g} at {at}: every value has to be finite "
                     "and >= 0"
                 )
         return values
