@@ -18,7 +18,7 @@ from dolfinx.fem import petsc
 from dolfinx_mortar.algebra.parallel import Relaxed, maximum, raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
 from dolfinx_mortar.common.arguments import NUMBER, Rule, check, check_optional, instance, number
-from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, TINY, Bools, Floats, Longs
+from dolfinx_mortar.common.arrays import QUARTER_OF_DIGITS, TINY, Bools, Floats, Longs, place
 from dolfinx_mortar.common.compat import interpolation_points
 from dolfinx_mortar.common.spaces import check_space
 from dolfinx_mortar.common.tags import tags_of
@@ -78,9 +78,9 @@ class Conductance:
             given = (_evaluate(law, *np.nan_to_num(at)) for law in laws)
             found: Floats = np.where(closed > 0.5, next(given), next(given))
             for i in np.flatnonzero(~((found >= 0.0) & (found < np.inf))):
-                x = ", ".join(f"{v:.4g}" for v in V.tabulate_dof_coordinates()[i])
+                x = place(V.tabulate_dof_coordinates()[i])
                 raise ValueError(
-                    f"the conductance of {self.interface!r} is {found[i]:g} at ({x}), pressure "
+                    f"the conductance of {self.interface!r} is {found[i]:g} at {x}, pressure "
                     f"{at[0][i]:g}: give a law that is finite and not negative"
                 )
         return closed > 0.5, found

@@ -43,3 +43,12 @@ def flat(values: Floats) -> Floats:
     (0, 6)
     """
     return values.reshape(len(values), int(np.prod(values.shape[1:])))
+
+
+def place(x: Floats) -> str:
+    """Coordinates (d,) for messages.
+
+    >>> place(np.array([1 / 3, 20000.0]))
+    '(0.3333, 2e+04)'
+    """
+    return f"({', '.join(f'{v:.4g}' for v in x)})"

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.common.arrays import SAME, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.facets import FacetElement, Facets, triangle_rule
+from dolfinx_mortar.geometry.facets import FacetElement, Facets, rule_on
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
     are_apart,
@@ -48,13 +48,9 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    points, weights, start = [], [], [0]
-    for degree in range(2, _HIGHEST + 2, 2):
-        p, w = triangle_rule(degree)
-        points.append(p)
-        weights.append(w)
-        start.append(start[-1] + len(w))
-    return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
+    found = [rule_on("triangle", degree) for degree in range(2, _HIGHEST + 2, 2)]
+    points, weights = map(np.concatenate, zip(*found, strict=True))
+    return points, weights, np.cumsum([0, *(len(w) for _, w in found)])
 
 
 @numba.njit(**KERNEL)

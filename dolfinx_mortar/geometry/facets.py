@@ -8,10 +8,9 @@ facets are the interval [-1, 1], the triangle (0, 0), (1, 0), (0, 1) and the squ
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 import basix
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
@@ -125,25 +124,18 @@ def powers(xi: Floats, n: int = 3) -> Floats:
     return (first[:, None] * others[0]).reshape(n * n, len(xi)) if others else first
 
 
-def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
-    """Gauss points and weights, sum 1."""
-    points, weights = leggauss(n)
-    xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
-    return xi, (reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
-
-
-def triangle_rule(degree: int) -> tuple[Floats, Floats]:
-    """Points (q, 2) and weights (q,), sum 1, of a rule on the triangle."""
-    found = basix.make_quadrature(basix.CellType.triangle, degree)
+def rule_on(cell: str, degree: int) -> tuple[Floats, Floats]:
+    """Points (q, d-1) and weights (q,), sum 1, of a rule on a reference facet."""
+    found = basix.make_quadrature(basix.CellType[cell], degree)
     points, weights = (np.array(part, dtype=np.float64, order="C") for part in found)
-    return points, weights / weights.sum()
+    return points if cell == "triangle" else 2.0 * points - 1.0, weights / weights.sum()
 
 
 LINE2 = FacetElement(
     cell="interval",
     size=2.0,
     degree=1,
-    rule=_gauss(2, 1),  # exact also with a linear weight such as 2 pi r
+    rule=rule_on("interval", 3),  # exact also with a linear weight such as 2 pi r
     sub_facets=((0, 1),),
     order=(0, 1),
     mirrored=(1, 0),
@@ -151,7 +143,7 @@ LINE2 = FacetElement(
 LINE3 = replace(
     LINE2,
     degree=2,
-    rule=_gauss(5, 1),
+    rule=rule_on("interval", 9),
     sub_facets=((0, 2), (2, 1)),
     order=(0, 1, 2),
     mirrored=(1, 0, 2),
@@ -161,7 +153,7 @@ TRI3 = FacetElement(
     cell="triangle",
     size=0.5,
     degree=1,
-    rule=triangle_rule(1),
+    rule=rule_on("triangle", 1),
     sub_facets=((0, 1, 2),),
     order=(0, 1, 2),
     mirrored=(2, 1, 0),
@@ -169,7 +161,7 @@ TRI3 = FacetElement(
 TRI6 = replace(
     TRI3,
     degree=2,
-    rule=triangle_rule(8),
+    rule=rule_on("triangle", 8),
     sub_facets=((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
     shares=((3, 0, 1), (4, 1, 2), (5, 2, 0)),
     order=(0, 1, 2, 5, 3, 4),
@@ -180,7 +172,7 @@ QUAD4 = FacetElement(
     cell="quadrilateral",
     size=4.0,
     degree=1,
-    rule=_gauss(3, 2),
+    rule=rule_on("quadrilateral", 5),
     sub_facets=((0, 1, 2, 3),),
     order=(0, 1, 3, 2),  # dolfinx has a tensor product
     mirrored=(3, 2, 1, 0),
@@ -188,7 +180,7 @@ QUAD4 = FacetElement(
 QUAD9 = replace(
     QUAD4,
     degree=2,
-    rule=_gauss(5, 2),
+    rule=rule_on("quadrilateral", 9),
     sub_facets=((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
     order=(0, 1, 3, 2, 4, 6, 7, 5, 8),
     mirrored=(3, 2, 1, 0, 6, 5, 4, 7, 8),
@@ -276,7 +268,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     dN = facets.element.functions(xi)[1]
     dual, normal = dual_basis(dN @ facets.x[which])
     size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
-    return np.swapaxes(dN, 1, 2) @ dual, (normal / size[:, None])
+    return np.swapaxes(dN, 1, 2) @ dual, normal / size[:, None]
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:

@@ -170,13 +170,10 @@ def moments(
     x, n, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
     slave, master = types
-    (k, m), (t, weights) = (x.shape[1], y.shape[1]), leggauss(_count(*types))
-    of = pairs[:, 0]
+    k, m, of = x.shape[1], y.shape[1], pairs[:, 0]
     Y = y[of[:, None], place]
-    kinds = (slave, x), (slave, n), (master, Y)
-    facets = [_polynomials(element, v) for element, v in kinds]
-    which, ends = _clip(*facets, np.ascontiguousarray(Y[:, :2]), pairs, deepest)
-    xi, eta, w = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
+    which, ends, t, *points = _segments(types, x, n, Y, pairs, deepest)
+    xi, eta, w = (v.reshape(-1, len(t), 1) for v in points)
     on, half, n = of[which], np.diff(ends)[:, :, None] / 2, n[of[which]]
     at = create_points(
         slave.functions(xi),
@@ -240,8 +237,20 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     return element.table.T @ v
 
 
-def _count(slave: FacetElement, master: FacetElement) -> int:
-    return 2 * max(slave.degree, master.degree) + 1
+def _segments(
+    types: tuple[FacetElement, FacetElement],
+    x: Floats,
+    n: Floats,
+    y: Floats,
+    pairs: Ints,
+    deepest: Floats,
+) -> tuple[Any, ...]:
+    """Pairs (s,), ends (s, 2) on the slave, Gauss points t (q,), and (s q,) both xi and weights."""
+    slave, master = types
+    facets = _polynomials(slave, x), _polynomials(slave, n), _polynomials(master, y)
+    which, ends = _clip(*facets, np.ascontiguousarray(y[:, :2]), pairs, deepest)
+    t, weights = leggauss(2 * max(slave.degree, master.degree) + 1)
+    return which, ends, t, *_place(*facets, pairs, which, ends, t, weights)
 
 
 def place_points(
@@ -259,10 +268,6 @@ def place_points(
     Returns:
         Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,).
     """
-    x_s, n = (_polynomials(slave.element, v) for v in (slave.x, n_s))
-    x_m = _polynomials(master.element, master.x)
-    corners = np.ascontiguousarray(master.x[:, master.element.vertices])
-    which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
-    points, weights = leggauss(_count(slave.element, master.element))
-    xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
-    return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight
+    types = slave.element, master.element
+    which, _, t, xi_s, xi_m, weight = _segments(types, slave.x, n_s, master.x, pairs, deepest)
+    return np.repeat(which, len(t)), xi_s[:, None], xi_m[:, None], weight

@@ -20,8 +20,8 @@ from dolfinx_mortar.geometry.facets import (
     FacetElement,
     Facets,
     dual_basis,
+    rule_on,
     surface_gradients,
-    triangle_rule,
 )
 from dolfinx_mortar.geometry.plane import count, project, reference_parts
 from dolfinx_mortar.geometry.tolerances import KERNEL
@@ -255,7 +255,7 @@ def moments_in_space(
     over = find_overlaps(Facets(slave, x), others, pairs, sides.deepest)
     degree = area.degree_of_moments(slave, master, heights[0].size > 0)
     points, weights = leggauss((degree + 3) // 2)
-    t, rule = (1.0 + points) / 2, triangle_rule(degree)
+    t, rule = (1.0 + points) / 2, rule_on("triangle", degree)
     line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
     inner = _create(over, sides, heights, over.which, over.corners, areas(over.corners), rule)
     _add_inner(over, inner, found)

@@ -21,7 +21,7 @@ from dolfinx_mortar.common.arguments import (
     instance,
     is_number,
 )
-from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.common.arrays import ROUND_OFF, Bools, Floats, Ints, place
 from dolfinx_mortar.common.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
 
@@ -325,9 +325,9 @@ def check_at_nodes(name: str, values: Floats, scalar: fem.FunctionSpace, *, sign
     wrong = ~(np.isfinite(values) & ((values >= 0.0) | signed))
     with raised_together(scalar.mesh.comm):
         for j in np.flatnonzero(wrong)[:1]:
-            at = ", ".join(f"{x:.4g}" for x in scalar.tabulate_dof_coordinates()[j])
+            at = place(scalar.tabulate_dof_coordinates()[j])
             raise ValueError(
-                f"{name} is {values[j]:g} at ({at}): every value has to be finite"
+                f"{name} is {values[j]:g} at {at}: every value has to be finite"
                 + ("" if signed else " and >= 0")
             )
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common.arguments import check_optional
-from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
+from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, place
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.coupling import (
@@ -230,9 +230,9 @@ class Obstacle(Movable, Unilateral):
         off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
         if off.max(initial=0.0) > NO_DISTANCE:
             worst = int(np.argmax(off))
-            place = ", ".join(f"{c:.4g}" for c in x[worst])
+            at = place(x[worst])
             raise ValueError(
-                f"shape: phi is no distance, as abs(grad phi) is {size[worst]:.3g} at ({place}); "
+                f"shape: phi is no distance, as abs(grad phi) is {size[worst]:.3g} at {at}; "
                 "give phi / abs(grad phi), or the distance itself"
             )
 

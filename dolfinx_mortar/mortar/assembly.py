@@ -7,7 +7,7 @@ D, M and N (eqs. 16 to 20) have the entries of the solver's `operators`, times t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -20,7 +20,7 @@ from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.csr import matrix_of, owned_rows
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.common.agreement import check_same_on_all_ranks
-from dolfinx_mortar.common.arrays import Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import Floats, Ints, Longs, place
 from dolfinx_mortar.common.spaces import check_space, find_positions
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
@@ -81,10 +81,10 @@ def _find_cells(V: FunctionSpace, side: Surface, u: Function | None, name: str) 
         before, now = (np.linalg.det(np.einsum("aqk,mki->mqai", slopes, v)) for v in (X, x))
         wrong = np.flatnonzero(~(before * now > 0.0).all(axis=1))
         if len(wrong):
-            place = _place(X[wrong[0]])
+            at = place(X[wrong[0]].mean(axis=0))
             raise ValueError(
                 f"{len(wrong)} cells behind {name}={side.label} have no volume, or u turns them "
-                f"inside out, such as the one that is around ({place}) at X; check mesh and u."
+                f"inside out, such as the one that is around {at} at X; check mesh and u."
             )
     local, bs = V.dofmap.list[cells], V.dofmap.index_map_bs
     dofs = V.dofmap.index_map.local_to_global(local.ravel()).reshape(local.shape)
@@ -94,10 +94,6 @@ def _find_cells(V: FunctionSpace, side: Surface, u: Function | None, name: str) 
         x,
         dofs if bs == 1 else bs * dofs[:, :, None] + np.arange(bs),
     )
-
-
-def _place(x: Floats) -> str:
-    return ", ".join(f"{v:.4g}" for v in x.mean(axis=0))
 
 
 def _tabulate(V: FunctionSpace, xi: Floats) -> Floats:
@@ -110,7 +106,7 @@ def _evaluate(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
-    nodes = (W.element.basix_element.points)[cells.places[which]]
+    nodes = W.element.basix_element.points[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
     of_W, of_V = _tabulate(W, xi), _tabulate(V, xi)
     x = np.einsum("nk,nki->ni", of_W[0], cells.x[which])
@@ -162,11 +158,11 @@ def segments(
     with raised_together(comm):
         lost = np.flatnonzero(~np.isfinite(points.xi_m).all(axis=1))
         if len(lost):
-            place = _place(cells_s.x[s[lost[0]]])
+            at = place(cells_s.x[s[lost[0]]].mean(axis=0))
             raise ValueError(
                 f"{len(lost)} points of slave={sides[0].label} have none opposite on master="
                 f"{sides[1].label}, whose curved facets are folded as seen from the slave, such as "
-                f"one near ({place}) at X + u; check mesh and u."
+                f"one near {at} at X + u; check mesh and u."
             )
     xi_s, x_s, N_s, G_s = _evaluate(V, sides[0], cells_s, s, points.xi_s)
     xi_m, x_m, N_m, G_m = _evaluate(V, sides[1], cells_m, m, points.xi_m)
@@ -250,9 +246,15 @@ def assemble_mortar(
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
     """
     check_space(V, scalar=True)
-    given: dict[str, Any] = {"facet_tags": facet_tags, "slave": slave, "master": master, "u": u}
-    given |= {"weight": weight, "feature_angle": feature_angle}
-    check_same_on_all_ranks(V.mesh.comm, **given)
+    check_same_on_all_ranks(
+        V.mesh.comm,
+        facet_tags=facet_tags,
+        slave=slave,
+        master=master,
+        u=u,
+        weight=weight,
+        feature_angle=feature_angle,
+    )
     if weight is not None and not callable(weight):
         raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")
     if feature_angle is not None:

@@ -19,8 +19,8 @@ from dolfinx_mortar.common.arrays import CHUNK, Bools, Floats, Ints, Longs, flat
 from dolfinx_mortar.geometry.facets import (
     FacetElement,
     points_of,
+    rule_on,
     scaled_normals,
-    triangle_rule,
     tributary_weights,
 )
 from dolfinx_mortar.geometry.segments import Segments
@@ -215,7 +215,7 @@ def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
     """Points and weights, sum 1, exact for products of functions."""
     if len(element.rule[1]) >= element.nodes:
         return element.rule
-    return triangle_rule(4)
+    return rule_on("triangle", 4)
 
 
 def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:

@@ -191,16 +191,11 @@ def create_pairing(
     elif not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     deepest = np.minimum(own[pairs[:, 0]], deepest[pairs[:, 1]])
-    if (
-        earlier is not None
-        and not any_rank(
-            comm,
-            not np.array_equal(earlier.pairs, pairs),
-            not np.array_equal(earlier.master_nodes, nodes),
-            not np.array_equal(earlier.master_facets, facets),
-        ).any()
-    ):
-        return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
+    if earlier is not None:
+        before = earlier.pairs, earlier.master_nodes, earlier.master_facets
+        same = all(map(np.array_equal, before, (pairs, nodes, facets)))
+        if not any_rank(comm, not same)[0]:
+            return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
     rows = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]
     paired = rows[np.unique(pairs[:, 0])]
     D = create_triplets(slave, paired, paired)
@@ -259,8 +254,7 @@ def outside_margin(pairing: Pairing, u: Function | None) -> bool:
         missing = has_changed(pairing.roles, slave, master, pairs)
     else:
         fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
-        at = np.searchsorted(known, fresh)
-        missing = not np.array_equal(np.append(known, -1)[at], fresh)
+        missing = not np.isin(fresh, known, assume_unique=True).all()
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         own = facets_at(pairing.master, coordinates(pairing.master, u))

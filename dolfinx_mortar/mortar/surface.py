@@ -18,7 +18,7 @@ import dolfinx
 from dolfinx.fem import Function, FunctionSpace
 from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.common import compat
-from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.common.arrays import TINY, Bools, Floats, Ints, Longs, place
 from dolfinx_mortar.common.spaces import check_space, connected_parts
 from dolfinx_mortar.common.tags import all_labels, check_entities, label, tag_of
 from dolfinx_mortar.geometry.facets import (
@@ -174,13 +174,12 @@ def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
         raise ValueError(f"{name}: coordinates of the mesh are not finite.")
     if bad[1]:
         places = comm.allgather(facets.x[unusable[:1]].mean(axis=1))
-        place = ", ".join(f"{x:.4g}" for x in np.concatenate(places)[0])
         middles = ", or its middle node lies near an end or off its edge"
         raise ValueError(
             f"{name}: {bad[1]} facets are degenerate (no length or area), inverted or badly warped "
             "(the normal at a corner is far from the mean normal"
-            f"{middles if facets.element.degree > 1 else ''}), such as the one around ({place}); "
-            "mend the mesh there."
+            f"{middles if facets.element.degree > 1 else ''}), such as the one around "
+            f"{place(np.concatenate(places)[0])}; mend the mesh there."
         )
 
 

@@ -220,7 +220,7 @@ def _from_flat(x, p):  # type: ignore[no-untyped-def]
     least = np.inf
     for k in range(3):
         side, r = p[(k + 1) % 3] - p[k], x - p[k]
-        along = min(max((_dot(r, side)) / (_dot(side, side)), 0.0), 1.0)
+        along = min(max(_dot(r, side) / _dot(side, side), 0.0), 1.0)
         off = r - along * side
         least = min(least, _dot(off, off))
     return np.sqrt(least)

@@ -157,6 +157,11 @@ class _Pointed(Shape):
         self.axis = check_unit("axis", axis, len(self.tip))
         self.radius = check("radius", radius, number("a finite length", least=0.0))
 
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        offset = x - self._centre
+        return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+
     def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
         """Distances of points x (n, d), from those ``across`` the axis and from the ``tip``."""
         height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
@@ -192,11 +197,6 @@ class Cone(_Revolved, _Pointed):
     in_plane = "a Wedge"
     about = "axis=(0, 1) or (0, -1), and a tip (0, z)"
 
-    def distance(self, x: Floats) -> Distance:
-        """See `Shape`."""
-        offset = x - self._centre
-        return self._section(x, of_axis(offset, self.axis), of_centre(offset))
-
 
 class Wedge(_Pointed):
     """A wedge in the plane, or in space along an edge, with the section of a `Cone`.
@@ -225,9 +225,9 @@ class Wedge(_Pointed):
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
-        offset, d = x - self._centre, x.shape[1]
         if self.edge is None:
-            return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+            return super().distance(x)
+        offset, d = x - self._centre, x.shape[1]
         side = np.cross(self.edge, self.axis)
         sign = np.where(offset @ side < 0.0, -1.0, 1.0)
         flat = np.zeros((len(x), d, d))

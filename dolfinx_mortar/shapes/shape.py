@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.common.arguments import Rule, array, check, instance, is_number, number
-from dolfinx_mortar.common.arrays import Bools, Floats, Longs
+from dolfinx_mortar.common.arrays import Bools, Floats, Longs, place
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,7 @@ def check_finite(name: str, found: Floats, x: Floats) -> None:
     """Raise a ValueError for NaN or infinity at points x (n, d)."""
     finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
     if not finite.all():
-        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
-        raise ValueError(f"{name} is NaN or infinite at ({place})")
+        raise ValueError(f"{name} is NaN or infinite at {place(x[np.argmin(finite)])}")
 
 
 def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
@@ -127,9 +126,9 @@ def check_unit(name: str, value: Any, d: int) -> Floats:
 def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
     """Raise a ValueError with number and first place of points."""
     if wrong.any():
-        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmax(wrong))])
+        first = place(x[np.argmax(wrong)])
         raise ValueError(
-            f"{who} {wrong.sum()} {what} among {len(x)}, the first one around ({place}): {remedy}"
+            f"{who} {wrong.sum()} {what} among {len(x)}, the first one around {first}: {remedy}"
         )
 
 
