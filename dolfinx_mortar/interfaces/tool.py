@@ -16,7 +16,7 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.parallel import raised_together
-from dolfinx_mortar.common.arguments import FINITE, Rule, array, check, check_optional
+from dolfinx_mortar.common.arguments import FINITE, array, check, check_optional, instance
 from dolfinx_mortar.common.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
@@ -242,12 +242,15 @@ class Tool(RigidBody):
     """A shape and its pose; `began` is the pose at the last commit."""
 
     def __init__(self, comm: MPI.Comm, shape: Any, reference: Any, d: int) -> None:
-        fits = isinstance(shape, Shape) and len(shape.point) == d
         remedy = (
-            f"give one of dolfinx_mortar.shapes in {d} coordinates, such as Plane(point, normal), "
-            "or SignedDistance(phi, point)"
+            "give one of dolfinx_mortar.shapes, such as Plane(point, normal), or "
+            "SignedDistance(phi, point)"
         )
-        check("shape", shape, Rule(remedy, lambda shape: shape if fits else None))
+        check("shape", shape, instance(Shape, remedy))
+        if len(shape.point) != d:
+            raise ValueError(
+                f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
+            )
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
         self.comm, self.shape = comm, shape

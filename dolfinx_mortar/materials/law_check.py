@@ -22,7 +22,7 @@ from dolfinx_mortar.materials.protocol import (
 )
 from dolfinx_mortar.materials.response import PointValues, elastic_response
 from dolfinx_mortar.materials.tensor import INDEX
-from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 PATHS = 8
@@ -222,7 +222,7 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
     units = (ufl.as_matrix(unit.tolist()) for unit in np.eye(9).reshape(9, 3, 3))
     elastic = np.empty((9, 9))
     for k, stress in enumerate(elastic_response(law, unit, p) for unit in units):
-        elastic[k] = [apply_algebra_lowering(stress[at])(()) for at in np.ndindex(3, 3)]
+        elastic[k] = [expand_derivatives(stress[at])(()) for at in np.ndindex(3, 3)]
 
     if finite and law.strain == "small":
         return LawAtPoint(law, finite, given, elastic, LogarithmicLaw(law, list(given)).values)

@@ -299,10 +299,8 @@ class LogarithmicLaw(CompiledLaw):
         self._arguments = INDEX[:3] if law.isotropic else pairs  # of a law in its eigenvectors
         self._width = len(self._arguments)
         # each computed once
-        ways = product(self._arguments, repeat=2)
-        self._ways = [
-            min((ij, km), (km, ij), key=lambda way: INDEX.index(way[0])) for ij, km in ways
-        ]
+        ways = (sorted(way, key=INDEX.index) for way in product(self._arguments, repeat=2))
+        self._ways = [(ij, km) for ij, km in ways]
         if law.isotropic:
             self._ways += [(pair, pair) for pair in pairs[3:]]
         self._vectors, self._tensors = np.empty((2, CHUNK, 3)), np.empty((3, CHUNK, 3, 3))
@@ -336,7 +334,7 @@ class LogarithmicLaw(CompiledLaw):
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return 1 - |dev tau| / |dev T| (q,), zero where T is."""
-        P, _ = as_tensors(*self.response(start, H)[:2], self.components, self._places)
+        P = tensor_of(self.response(start, H)[0], self.components)
         tau, kept = von_mises(stored(P @ np.swapaxes(H + np.eye(3), 1, 2))), np.ones(len(H))
         for some, numbers, _ in self._prepared(start, H):
             T = von_mises(self._answers(numbers)[:, : len(self._pairs)])
