@@ -20,21 +20,21 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # the same for any number. The slow run has what stands on that, or pairs in space. The others know
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
-    agreement errors friction_errors mesh_audit msh problem
+    agreement errors friction_errors inp mesh_audit msh problem
     point_terms progress results summary tags terms
 """.split()
 SLOW_ON_THREE = """
-    contracts/interfaces driven_tools exact_tangent finite_sliding friction_path
-    load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
+    contracts/interfaces driven_tools exact_tangent finite_sliding friction_laws friction_path
+    heat load_steps offset pairs patch rigid_side same_sums slaves_on_rollers tangent wear
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch bending certificate checkpoint
-    checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
+    checkpoint_damage checkpoint_errors checkpoint_whole corners creep crossings curvature_jumps
     demo_meshes dynamics edges eigenstrain energies faceted_shapes finite_loads
     impact jump jump_errors kinematics linear linearisation margin
     measure near newton obstacle output output_resume own_interface parameters passing
     plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
-    resolution rubber small_strain smooth_3d smooth_contact smooth_tie solid
+    resolution rubber sensitivity small_strain smooth_3d smooth_contact smooth_tie solid
     stack sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
     user_laws volumetric
 """.split()
