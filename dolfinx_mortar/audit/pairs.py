@@ -200,13 +200,10 @@ def _find(
     for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
         topology.create_connectivity(*pair)
     part_of_cell, count = _ordered_parts(V)
-    bodies = np.column_stack([tag_of_cell, part_of_cell])
-    own = np.unique(bodies, axis=0).reshape(-1, 2)
-    known = np.unique(np.concatenate(comm.allgather(own)), axis=0)
-    names = _names(known, cell_tags)
-    keys = known[:, 0] * count + known[:, 1]
-    body_of_cell = np.searchsorted(keys, bodies[:, 0] * count + bodies[:, 1])
-    several = np.flatnonzero(np.bincount(known[:, 1])[known[:, 1]] > 1)
+    key = tag_of_cell * count + part_of_cell
+    known = np.unique(np.concatenate(comm.allgather(np.unique(key))))
+    body_of_cell, (tags, parts) = np.searchsorted(known, key), np.divmod(known, count)
+    names, several = _names(tags, cell_tags), np.flatnonzero(np.bincount(parts)[parts] > 1)
     cells = V.dofmap.list[: len(body_of_cell)]
     shared = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
     joined = {
@@ -260,13 +257,13 @@ def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
     return place[bodies.of_cells], bodies.count
 
 
-def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
+def _names(tags: Longs, cell_tags: MeshTags | None) -> list[str]:
     if cell_tags is None:
-        return [f"body {k + 1}" for k in range(len(known))]
+        return [f"body {k + 1}" for k in range(len(tags))]
     called = {tag: name for name, tag in names_of(cell_tags).items()}
     names = []
-    for k, tag in enumerate(known[:, 0]):
-        alike = np.flatnonzero(known[:, 0] == tag)
+    for k, tag in enumerate(tags):
+        alike = np.flatnonzero(tags == tag)
         number = f" #{k - alike[0] + 1}" if len(alike) > 1 else ""
         names.append(f"{called.get(int(tag), f'body {tag}')}{number}")
     return names
