@@ -192,8 +192,9 @@ def create_pairing(
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     deepest = np.minimum(own[pairs[:, 0]], deepest[pairs[:, 1]])
     if earlier is not None:
-        before = earlier.pairs, earlier.master_nodes, earlier.master_facets
-        same = all(map(np.array_equal, before, (pairs, nodes, facets)))
+        same = np.array_equal(earlier.pairs, pairs)
+        same &= np.array_equal(earlier.master_nodes, nodes)
+        same &= np.array_equal(earlier.master_facets, facets)
         if not any_rank(comm, not same)[0]:
             return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
     rows = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]

@@ -131,8 +131,11 @@ def _passed(side: Middles, other: Surface, before: Function, now: Function) -> P
     ways = path(motion, times, start_at - origin, frame.back(end_at - origin))
     back = frame.back(end - origin)
     others = [(1.0 - t) * (start - origin) + t * back for t in times]
-    both = zip(pairwise(ways), pairwise(others), strict=True)
-    passed = np.unique(np.concatenate([find_passing(*step) for step in both]))
+    found = [
+        find_passing((ways[k], ways[k + 1]), (others[k], others[k + 1]))
+        for k in range(len(times) - 1)
+    ]
+    passed = np.unique(np.concatenate(found))
     if comm.allreduce(len(passed), op=MPI.SUM):
         # not those that have left their own body as it bends
         inward = np.concatenate(comm.allgather(flat_parts(facets[0])))[:, ::-1]
