@@ -328,8 +328,7 @@ class LogarithmicLaw(CompiledLaw):
             if self.multiplicative:
                 numbers[:, :3] = logs
             else:
-                s = len(self._pairs)
-                numbers[:, :s] = stored(logarithms.compose(N, logs), s)
+                logarithms.compose_stored(self._pairs, N, logs, numbers)
             yield some, numbers, parts
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:

@@ -69,12 +69,22 @@ def function_of(A: Floats, f: Callable[[Floats], Floats]) -> Floats:
     """Isotropic functions sum_a f(A_a) N_a (x) N_a of symmetric tensors A (q, 3, 3)."""
     D, N = A.copy(), np.empty_like(A)
     _diagonalise_all(D, N)
-    return compose(N, f(D[:, range(3), range(3)]))
+    return _compose(N, f(D[:, range(3), range(3)]))
 
 
-def compose(N: Floats, values: Floats) -> Floats:
-    """Tensors sum_a values_a N_a (x) N_a (q, 3, 3)."""
+def _compose(N: Floats, values: Floats) -> Floats:
     return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
+
+
+@numba.njit(**SETTINGS)
+def compose_stored(pairs, N, values, components):  # type: ignore[no-untyped-def]
+    """Fill the first columns of components (q, ..) with the stored sum_a values_a N_a N_a."""
+    for q in range(len(N)):
+        for p in range(len(pairs)):
+            i, j = pairs[p]
+            components[q, p] = 0.0
+            for a in range(3):
+                components[q, p] += N[q, i, a] * values[q, a] * N[q, j, a]
 
 
 @numba.njit(**SETTINGS)
@@ -305,7 +315,7 @@ def flow(strain: Floats, increment: Floats, g: Floats, N: Floats) -> Floats:
 
     D has the eigenvectors N and the eigenvalues increment (q, 3).
     """
-    D = compose(N, np.expm1(-2 * increment))
+    D = _compose(N, np.expm1(-2 * increment))
     change = D + g @ D + D @ g + g @ D @ g + 2 * g + g @ g
     new = function_of(change, lambda values: -np.log1p(values) / 2)
     flows = np.any(increment, axis=1, keepdims=True)
