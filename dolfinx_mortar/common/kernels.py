@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import numba.experimental.function_type
 import numpy as np
+from llvmlite import ir
 
 import basix.ufl
 import ffcx.codegeneration.jit
@@ -27,19 +27,12 @@ def constants(count: int) -> ufl.Constant:
 
 
 @dataclass(frozen=True)
-class Kernel(numba.types.WrapperAddressProtocol):
-    """A compiled expression of `constants`, as a function of seven pointers for Numba."""
+class Kernel:
+    """A compiled expression of `constants`."""
 
     address: int
     size: int
     module: Any  # keeps the code alive
-
-    def __wrapper_address__(self) -> int:
-        return self.address
-
-    def signature(self) -> Any:
-        """Types of the result and of the arguments."""
-        return numba.types.void(*[numba.types.uintp] * 7)
 
 
 def compile_kernel(vector: Expr) -> Kernel:
@@ -61,13 +54,29 @@ def kernel_of(compiled: Any, module: Any, vector: Expr) -> Kernel:
 def tabulate(kernel: Kernel, numbers: Floats) -> Floats:
     """Values (q, size) of a kernel for numbers (q, n)."""
     values = np.zeros((len(numbers), kernel.size))
-    _tabulate(kernel, numbers, values, _CORNERS)
+    _tabulate(kernel.address, numbers, values, _CORNERS)
     return values
 
 
-@numba.njit(cache=True)
-def _tabulate(kernel, numbers, values, corners):  # type: ignore[no-untyped-def]
-    none, x = np.uintp(0), corners.ctypes.data
-    for q in range(len(numbers)):
+@numba.extending.intrinsic
+def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped-def]
+    integer = numba.types.intp
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        pointer = ir.IntType(8).as_pointer()
         # values, coefficients, constants, coordinates, entity, permutation; newer ones have more
-        kernel(values[q].ctypes.data, none, numbers[q].ctypes.data, x, none, none, none)
+        function = ir.FunctionType(ir.VoidType(), [pointer] * 7)
+        called, values, numbers, corners = arguments
+        none = ir.Constant(pointer, None)
+        given = [builder.inttoptr(a, pointer) for a in (values, numbers, corners)]
+        where = builder.inttoptr(called, function.as_pointer())
+        builder.call(where, [given[0], none, given[1], given[2], none, none, none])
+        return context.get_dummy_value()
+
+    return numba.types.void(integer, integer, integer, integer), generate
+
+
+@numba.njit(cache=True)
+def _tabulate(address, numbers, values, corners):  # type: ignore[no-untyped-def]
+    for q in range(len(numbers)):
+        _call(address, values[q].ctypes.data, numbers[q].ctypes.data, corners.ctypes.data)
