@@ -175,7 +175,7 @@ FORMATS = """
     OUT_OF_MEMORY OUT_OF_RANGE HIGHEST HIGHEST_RULE
 """.split()
 # Sizes of pictures, messages and buffers.
-SIZES = "CHUNK GRID SHOWN VERTICES".split()
+SIZES = "CHUNK GRID VERTICES".split()
 # Tables of elements, components and differences, samples of checks, a published mesh.
 TABLES = """
     LINE2 LINE3 TRI3 TRI6 QUAD4 QUAD9 FACETS_OF ANYWHERE _CORNERS WEIGHTS
