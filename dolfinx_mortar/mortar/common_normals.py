@@ -202,6 +202,8 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
     """
     some: Longs = np.flatnonzero(mirrors.any(axis=1))
     n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
+    if not len(some):
+        return n, by_n
     m = np.where(mirrors[some], 0.0, n[some])
     size = np.linalg.norm(m, axis=1)[:, None, None]
     n[some] = unit(m)
@@ -251,6 +253,8 @@ def _edged(S: Floats, limit: float) -> Bools:
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
     """Normals (n, d) of a side: averaged, on edges `facing`."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
+    if not len(edged):
+        return averaged.copy()
     result, n, c = averaged.copy(), averaged[edged], unit(facing[edged])
     Q = _across(n)
     widths, axes = np.linalg.eigh(Q @ S[edged] @ Q)
