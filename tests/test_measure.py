@@ -88,7 +88,7 @@ def pushed():
     case.solve(0.0, -0.02)
     case.push(0.008, -0.02)
     report = dm.newton(case.problem, rtol=1e-12)
-    return Judged(case.problem, report, [case.contact.law.values(case.contact.nodal)])
+    return Judged(case.problem, report, [case.contact.law.values(case.contact)])
 
 
 @pytest.mark.mpi
