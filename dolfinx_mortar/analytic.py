@@ -251,7 +251,7 @@ class _History:
             # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, also for c = 0
             outer, inner = (np.sqrt(np.maximum(0.0, b**2 - at**2)) / a for b in (a, c))
             total += w * (outer - inner)
-        return np.asarray(self.friction * self.contact.peak_pressure * total)
+        return self.friction * self.contact.peak_pressure * total
 
 
 @dataclass(frozen=True, eq=False)

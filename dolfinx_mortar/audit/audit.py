@@ -215,7 +215,7 @@ def _facet_motion(link: Link) -> Motion:
     def motion(v: PETSc.Vec) -> Floats:
         relative = relative_motions(link, v)[0, kept]
         along = (relative * normals).sum(axis=1, keepdims=True)
-        return np.asarray(0.5 * angle * (relative - along * normals))
+        return 0.5 * angle * (relative - along * normals)
 
     return motion
 

@@ -81,7 +81,7 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
     element = basix.create_element(basix.ElementFamily.P, cell, degree, variant)
     slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
-    return np.asarray(np.linalg.det(np.einsum("dqk,kin->qndi", slopes, x)))
+    return np.linalg.det(np.einsum("dqk,kin->qndi", slopes, x))
 
 
 def _beside_neighbour(mesh: Mesh, nodes: Longs, x: Floats) -> Bools:

@@ -182,7 +182,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
 def components(first: Longs | Ints, second: Longs | Ints, count: int) -> Ints:
     """Number (count,) of the connected component of each of some things that pairs join."""
     graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
-    return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1])
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def check_nodal(

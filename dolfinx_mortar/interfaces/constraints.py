@@ -127,13 +127,13 @@ class SlipLimits:
     def shares(self) -> Floats:
         """Vectors (m, d) of the share of the limit in prescribed directions."""
         q, size = self._asked()
-        return np.asarray(q / np.maximum(size, 1.0)[:, None])
+        return q / np.maximum(size, 1.0)[:, None]
 
     @property
     def slides(self) -> Bools:
         """Nodes (m,) whose prescribed slip takes the whole limit."""
         q, size = self._asked()
-        return np.asarray(q.any(axis=1) & (size >= 1.0))
+        return q.any(axis=1) & (size >= 1.0)
 
     def _asked(self) -> tuple[Floats, Floats]:
         """Vectors q (m, d), and sizes (m,) of q + s_t / a."""
@@ -155,7 +155,7 @@ class SlipLimits:
     def known(self, multipliers: Floats) -> Floats:
         """Reactions (m, d) in prescribed directions, given lambda_j (owned nodes,)."""
         limit = self.coefficient * self.weight * multipliers[self.nodes] + self.cohesion
-        return np.asarray(limit[:, None] * self.shares)
+        return limit[:, None] * self.shares
 
     @property
     def some(self) -> Bools:
@@ -164,11 +164,11 @@ class SlipLimits:
 
     def along(self, vectors: Floats) -> Floats:
         """Tangential components (m, d - 1) of vectors (m, d)."""
-        return np.asarray(np.where(self.some, np.einsum("mti,mi->mt", self.axes, vectors), 0.0))
+        return np.where(self.some, np.einsum("mti,mi->mt", self.axes, vectors), 0.0)
 
     def vectors(self, parts: Floats) -> Floats:
         """Vectors (m, d) of tangential components (m, d - 1)."""
-        return np.asarray(np.einsum("mti,mt->mi", self.axes, parts))
+        return np.einsum("mti,mt->mi", self.axes, parts)
 
 
 Force: TypeAlias = float | fem.Constant

@@ -236,7 +236,7 @@ class Unilateral(Wearing):
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Nodes (n, 1) whose normal is not prescribed."""
-        return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
+        return (left >= MIN_FREE_NORMAL)[:, None]
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives:
         """See `Interface.derivatives`; collective."""

@@ -269,7 +269,7 @@ def _turning(tool: Tool, x: Floats) -> Floats:
     at = tool.distance(x)
     size, g = unit_vectors(at.gradient)
     across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
-    return np.asarray(-across @ at.hessian / np.maximum(size, TINY)[:, None, None])
+    return -across @ at.hessian / np.maximum(size, TINY)[:, None, None]
 
 
 def _below_tool(

@@ -53,7 +53,7 @@ class Link(CoupledSides):
         """Slave nodes (n,) without multiplier because of Dirichlet data."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
         left_out = coverage.faces & ~kept & ~coverage.weightless
-        return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
+        return left_out & self.sides.fixed[self.nodes].any(axis=1)
 
     def prescribed_facets(self) -> Bools:
         """Slave facets (m,) with such nodes only; collective."""
@@ -111,7 +111,7 @@ class Link(CoupledSides):
         """Slave nodes (n,) at which the interface acts, given closed nodes."""
         some = self.constrained.any(axis=1)
         if self.unilateral:
-            return np.asarray(closed[self.nodes] & some)
+            return closed[self.nodes] & some
         return np.asarray(self.coupling.kept.any(axis=1))
 
     def apart(self) -> Floats | None:
@@ -136,7 +136,7 @@ class Link(CoupledSides):
     def shown_gap(self, gap: Floats) -> Floats:
         """Gap (n,) for output, of ties the opening by a jump."""
         if self.unilateral:
-            return np.asarray(gap[self.nodes])
+            return gap[self.nodes]
         apart = None if self.sides.hold else self.apart()
         normals = self.coupling.normals
         return np.zeros(len(normals)) if apart is None else -(apart * normals).sum(axis=1)
@@ -264,7 +264,7 @@ def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
     with np.errstate(invalid="ignore"):
         mean = array[:, 0] / array[:, 1]
     extended = np.where(with_ghosts(sides.V, covered)[:, None], mean, np.nan)
-    return np.asarray(np.where(known[:, 1] > 0, known[:, 0], extended))
+    return np.where(known[:, 1] > 0, known[:, 0], extended)
 
 
 def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:

@@ -113,7 +113,7 @@ class Results:
 
     def _about_place(self, moment: Floats, force: Floats) -> Floats:
         whole = np.append(force, np.zeros(3 - len(force)))
-        return np.asarray(moment - np.cross(self._resultant("place"), whole))
+        return moment - np.cross(self._resultant("place"), whole)
 
     def _function(self, name: str) -> fem.Function:
         if name not in self.nodal:

@@ -48,8 +48,8 @@ class Pose:
         """Rotation matrix (d, d)."""
         d = len(self.position)
         if self.linear:
-            return np.asarray(np.eye(d) + spun(np.eye(d), self.rotation).T)
-        return np.asarray(_turn(in_space(self.rotation)).as_matrix()[:d, :d])
+            return np.eye(d) + spun(np.eye(d), self.rotation).T
+        return _turn(in_space(self.rotation)).as_matrix()[:d, :d]
 
     def to_tool(self, x: Floats) -> Floats:
         """Initial positions (n, d) of the tool's points at x (n, d)."""
@@ -302,7 +302,7 @@ class Tool(RigidBody):
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
         back = after - began.to_space(now.to_tool(after))
-        return np.asarray(0.5 * (forth + back))
+        return 0.5 * (forth + back)
 
     def turn(self) -> Floats:
         """Rotation since the last commit, see `turn_between`."""
@@ -357,7 +357,7 @@ def after(rotation: Floats, step: Floats) -> Floats:
     angle = float(np.linalg.norm(found))
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(near[None])[1][0]
     turns = np.round((near @ axis - angle) / (2.0 * np.pi))
-    return np.asarray(found + 2.0 * np.pi * turns * axis)
+    return found + 2.0 * np.pi * turns * axis
 
 
 def find_facing(side: WholeSide, tool: Tool, x: Floats) -> Bools:

@@ -120,7 +120,7 @@ class Wearing(Interface):
         assert self.wear is not None
         k = values_at_nodes("wear: k", self.wear.k, self.gap.function_space, signed=False)[nodes]
         way = slid if self.wear.slip is None else np.abs(self.wear.path - self._path)
-        return np.asarray(k * way)
+        return k * way
 
     def wear_by(self, depth: Floats, nodes: Ints) -> None:
         """Set the depth after the step, with (n,) at owned nodes more than before; collective."""

@@ -160,13 +160,13 @@ def _paths(
 
 def _rotation(rng: np.random.Generator) -> Floats:
     Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return np.asarray(Q * np.linalg.det(Q))
+    return Q * np.linalg.det(Q)
 
 
 def _unit(rng: np.random.Generator, *, symmetric: bool = True) -> Floats:
     A = rng.standard_normal((3, 3))
     A += A.T if symmetric else 0.0
-    return np.asarray(A / np.linalg.norm(A))
+    return A / np.linalg.norm(A)
 
 
 @dataclass(frozen=True)

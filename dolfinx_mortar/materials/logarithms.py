@@ -73,7 +73,7 @@ def function_of(A: Floats, f: Callable[[Floats], Floats]) -> Floats:
 
 
 def _compose(N: Floats, values: Floats) -> Floats:
-    return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
+    return (N * values[:, None]) @ np.swapaxes(N, 1, 2)
 
 
 @numba.njit(**SETTINGS)

@@ -98,7 +98,7 @@ def tensor_of(components: Floats, entries: Sequence[tuple[int, int]] = INDEX) ->
 def stored(tensors: Floats, size: int = 6) -> Floats:
     """The first `size` (3, 4 or 6) stored components of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
-    return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
+    return (tensors[:, rows, columns] + tensors[:, columns, rows]) / 2
 
 
 def mean_of_shears(tangent: Floats) -> Floats:

@@ -44,7 +44,7 @@ class Kind(NamedTuple):
     def corners(self) -> Ints:
         """Corners (facets, k) of basix's facets, in the order of VTK."""
         element, order = self.nodes()
-        return np.asarray(order[np.array(basix.topology(element.cell_type)[-2])])
+        return order[np.array(basix.topology(element.cell_type)[-2])]
 
 
 CELLS = {  # nodes of elements of both degrees; facets of basix's cell that are called S1, S2 ..

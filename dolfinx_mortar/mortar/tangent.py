@@ -390,7 +390,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
     across = (across - n[:, :, None] * n[:, None, :]) / np.maximum(size, ROUND_OFF)[:, None, None]
     gradients = _gradients_at_nodes(facets)
     turned = -np.einsum("mjia,mjla->mjil", across[surface.facets], gradients)
-    return np.asarray(turned[..., None] * at_nodes[:, :, None, None])
+    return turned[..., None] * at_nodes[:, :, None, None]
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:

@@ -231,7 +231,7 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
 
 def _owned(f: fem.Function) -> Floats:
     dofmap = f.function_space.dofmap
-    return np.asarray(f.x.array.reshape(-1, dofmap.bs)[: dofmap.index_map.size_local])
+    return f.x.array.reshape(-1, dofmap.bs)[: dofmap.index_map.size_local]
 
 
 def describe(state: ProblemState) -> dict[str, Any]:

@@ -104,7 +104,7 @@ class CellFunctions:
 
     def coefficients(self, integrals: Floats) -> Floats:
         """Coefficients (owned cells, m) of the projection, given its integrals with N_k."""
-        return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
+        return np.einsum("ckl,cl->ck", self.inverse, integrals)
 
     def values(self, f: fem.Function) -> Floats:
         """View of the coefficients (owned cells, m)."""
@@ -222,14 +222,14 @@ class VolumeStep:
 
     def pressure_at(self, t: float) -> Floats:
         """Coefficients (owned cells, m) of p + t U'' dj."""
-        return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
+        return np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
         """Energy of each cell at another j, linear about the linearisation."""
         way, slope = t * self.change, self.slope_at(t)
         along = ((self.slope + slope) / 2 * way).sum(axis=1)
         missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
-        return np.asarray(self.energy + along + missed)
+        return self.energy + along + missed
 
 
 class MeanVolume:

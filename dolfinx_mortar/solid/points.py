@@ -169,7 +169,7 @@ class PointFields:
     @cached_property
     def weights(self) -> np.ndarray:
         """Integration weights (cells, points); their sum is the volume."""
-        return np.asarray(fem.assemble_vector(self._volume).array[self._places])
+        return fem.assemble_vector(self._volume).array[self._places]
 
     def _values_everywhere(self, name: str) -> np.ndarray:
         """`values`, with errors of one rank raised on all; collective."""

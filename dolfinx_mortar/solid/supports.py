@@ -129,7 +129,7 @@ class Bodies:
         if self.group is not None:
             for k in range(self.group.max() + 1):
                 total[self.group == k] = total[self.group == k].sum(axis=0)
-        return np.asarray(total[:, 0] / np.maximum(total[:, 1], 1.0))
+        return total[:, 0] / np.maximum(total[:, 1], 1.0)
 
 
 def find_bodies(
@@ -327,7 +327,7 @@ class Dirichlet:
     @property
     def owned(self) -> Bools:
         """Mask (n, d) of prescribed components of owned nodes."""
-        return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
+        return self.fixed[: self.V.dofmap.index_map.size_local]
 
     def values(self) -> Floats:
         """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""

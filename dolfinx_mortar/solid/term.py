@@ -8,8 +8,6 @@ from typing import Any, TypeVar
 from mpi4py import MPI
 from petsc4py import PETSc
 
-import numpy as np
-
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import add_blocks
@@ -128,7 +126,7 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
     vector.array[:] = 0.0
     fem.assemble_vector(vector.array, form)
     vector.scatter_reverse(la.InsertMode.add)
-    return np.asarray(vector.array[: vector.block_size * vector.index_map.size_local])
+    return vector.array[: vector.block_size * vector.index_map.size_local]
 
 
 class MatrixForm:

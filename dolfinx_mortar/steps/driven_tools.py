@@ -135,7 +135,7 @@ class Drives:
 
     def noise(self, balance: Balance) -> Floats:
         """Round-off (m,) of the reactions."""
-        return np.asarray(ROUND_OFF * balance.elements * self.arms)
+        return ROUND_OFF * balance.elements * self.arms
 
     def allowed(self, force: float) -> Floats:
         """Tolerances (m,) of loads on rigid sides and bolts."""

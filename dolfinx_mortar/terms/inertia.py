@@ -337,12 +337,12 @@ class Damping(Term):
         x.array[:] = velocity.ravel()
         self._K.mult(x, y)
         elastic = y.array_r.reshape(velocity.shape)
-        return np.asarray(self.shares[0] * self.inertia.mass.times(velocity) + elastic)
+        return self.shares[0] * self.inertia.mass.times(velocity) + elastic
 
     def velocity(self) -> Floats:
         """Velocity at the end of the step."""
         start = self.inertia.start
-        return np.asarray(start.velocity + start.rate * self.inertia.change)
+        return start.velocity + start.rate * self.inertia.change
 
     def energy(self) -> Floats:
         """Addends of |v|^2_C / (2 r), whose derivative is C v."""

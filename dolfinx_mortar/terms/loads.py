@@ -203,7 +203,7 @@ class PointTerm(Term):
         """Displacement (m, d) of the node, m = 1 on its rank, else 0."""
         if self._u is None:
             raise ValueError(f"{type(self).__name__}: it acts in a problem: ContactProblem(terms=)")
-        return np.asarray(self._u.x.array.reshape(-1, self.V.mesh.geometry.dim)[self._node])
+        return self._u.x.array.reshape(-1, self.V.mesh.geometry.dim)[self._node]
 
     def energy(self) -> Floats:
         """Addends of this rank."""

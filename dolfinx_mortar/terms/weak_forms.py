@@ -10,8 +10,6 @@ from typing import Any
 
 from petsc4py import PETSc
 
-import numpy as np
-
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
@@ -47,7 +45,7 @@ class DeadLoads(Term):
 
     def energy(self) -> Floats:
         """Addends -f_i u_i of this rank."""
-        return np.asarray(-self.f * self._u.x.array[: self.f.size])
+        return -self.f * self._u.x.array[: self.f.size]
 
     def add_forces(self, F: PETSc.Vec) -> None:
         """Subtract f."""
