@@ -19,15 +19,15 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 142,
-    "tokens of code": 283_828,
-    "words of prose": 53_335,
-    "words of strings": 12_991,
+    "files": 148,
+    "tokens of code": 294_150,
+    "words of prose": 55_880,
+    "words of strings": 13_696,
 }
-TOKENS_OF_TESTS = 307_559
-PUBLIC_NAMES = 45
-WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_495}
-SIMPLEST_STEP = {"files": 68, "functions": 658, "lines": 6_841}
+TOKENS_OF_TESTS = 332_831
+PUBLIC_NAMES = 46
+WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_493}
+SIMPLEST_STEP = {"files": 69, "functions": 661, "lines": 6_952}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),
