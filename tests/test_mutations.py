@@ -20,20 +20,20 @@ FAULTS = [
     ),
     (
         "interfaces/tool",
-        "return np.asarray(0.5 * (forth + back))",
-        "return np.asarray(forth)",
+        "return 0.5 * (forth + back)",
+        "return forth",
         "test_obstacle",
     ),
     (
         "interfaces/results",
-        'return np.asarray(moment - np.cross(self._resultant("place"), whole))',
-        'return np.asarray(moment + np.cross(self._resultant("place"), whole))',
+        'return moment - np.cross(self._resultant("place"), whole)',
+        'return moment + np.cross(self._resultant("place"), whole)',
         "test_obstacle",
     ),
     (
         "interfaces/contact",
-        "return np.asarray((left >= MIN_FREE_NORMAL)[:, None])",
-        "return np.asarray((left > 0.0)[:, None])",
+        "return (left >= MIN_FREE_NORMAL)[:, None]",
+        "return (left > 0.0)[:, None]",
         "test_numbers_of_steps",
     ),
     (
