@@ -24,7 +24,7 @@ CEILINGS = {
     "words of prose": 55_880,
     "words of strings": 13_696,
 }
-TOKENS_OF_TESTS = 332_831
+TOKENS_OF_TESTS = 332_912
 PUBLIC_NAMES = 46
 WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_493}
 SIMPLEST_STEP = {"files": 69, "functions": 661, "lines": 6_952}
