@@ -304,9 +304,7 @@ class Heat:
         side = one.interface
         if side.master is None:
             areas = _assembled(self._areas[one])
-            D = PETSc.Mat().createAIJ([areas.sizes] * 2, nnz=1, comm=self.comm)
-            D.setDiagonal(areas)
-            D.assemble()
+            D = _diagonal(areas)
             return D, 0.0 * D, np.arange(areas.local_size)
         sides = {"slave": side.slave, "master": side.master}
         mortar = assemble_mortar(self.V, side.facet_tags, **sides, u=self.u, weight=self._weight)
@@ -316,7 +314,8 @@ class Heat:
         """Solve with the Dirichlet conditions and multipliers; return the largest change."""
         n = b.local_size
         for C in ties:
-            both = [[A, C.transpose(PETSc.Mat())], [C, None]]
+            none = _diagonal(C.createVecLeft())  # whose entries PETSc asks for below
+            both = [[A, C.transpose(PETSc.Mat())], [C, none]]
             A = PETSc.Mat().createNest(both, comm=self.comm).convert("aij")
         x, right = A.createVecs()
         right.array[:n] = b.array
@@ -351,6 +350,14 @@ HEAT = instance(Heat, "give a Heat")
 
 
 LAWS = "conductivity", "capacity"
+
+
+def _diagonal(values: PETSc.Vec) -> PETSc.Mat:
+    """Diagonal matrix with entries, also zeros; collective."""
+    D = PETSc.Mat().createAIJ([values.sizes] * 2, nnz=1, comm=values.comm)
+    D.setDiagonal(values)
+    D.assemble()
+    return D
 
 
 def _assembled(form: fem.Form) -> Any:

@@ -23,6 +23,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, largest, norm, ratio
 from dolfinx_mortar.common.arguments import FINITE, Rule, array, check
 from dolfinx_mortar.common.arrays import EPS, HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Floats
+from dolfinx_mortar.common.compat import cell_nodes
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.persistence.committed import Before
@@ -350,7 +351,7 @@ class _Step:
         elif isinstance(thing, fem.Function):
             target = thing.x.array
         elif moves and isinstance(e, fem.Function):
-            target, cells = thing.geometry.x, thing.geometry.dofmap
+            target, cells = thing.geometry.x, cell_nodes(thing)
             w, e = e.x.array.reshape(-1, problem.d), np.zeros_like(target)
             e[cells, : problem.d] = w[problem.V.dofmap.list[:, : cells.shape[1]]]
         base = check(name, target, FINITE, PARAMETER).copy()

@@ -20,8 +20,8 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 148,
-    "tokens of code": 294_150,
-    "words of prose": 55_880,
+    "tokens of code": 294_190,
+    "words of prose": 55_894,
     "words of strings": 13_696,
 }
 TOKENS_OF_TESTS = 332_912
