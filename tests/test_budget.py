@@ -20,11 +20,11 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 148,
-    "tokens of code": 294_190,
+    "tokens of code": 294_196,
     "words of prose": 55_894,
-    "words of strings": 13_696,
+    "words of strings": 13_698,
 }
-TOKENS_OF_TESTS = 332_912
+TOKENS_OF_TESTS = 332_944
 PUBLIC_NAMES = 46
 WORDS_OF_PAGES = {"README.md": 699, "ARCHITECTURE.md": 1_493}
 SIMPLEST_STEP = {"files": 69, "functions": 661, "lines": 6_952}

@@ -319,6 +319,9 @@ def test_a_function_that_returns_something_else(friction, words):
         case.solve(0.0, -0.02)
 
 
+WORN = {"wear_depth": 0.0}
+
+
 @pytest.mark.parametrize(
     ("create", "words"),
     [
@@ -327,6 +330,7 @@ def test_a_function_that_returns_something_else(friction, words):
         (lambda V: Coefficient(max, reads=[fem.Function(V)]), ("reads[0]", "scalar")),
         (lambda V: Coefficient(max, reads=[0.3]), ("reads[0]", "0.3")),
         (lambda V: create_pushed(friction=Coefficient(max, state={"gap": 0.0})), ("gap",)),
+        (lambda V: create_pushed(friction=Coefficient(max, state=WORN)), ("wear_depth", "rename")),
         (lambda V: create_pushed(friction=Coefficient(max, reads=[scalar(V)])), ("another mesh",)),
     ],
 )

@@ -72,7 +72,7 @@ class Results:
         if self.law is not None:
             spaces |= {"traction": V, "step_slip": V}
             spaces |= dict.fromkeys(("slip", "status", "energy"), scalar)
-            if same := spaces.keys() & self.law.own:
+            if same := {*spaces, "wear_depth", "committed_depth"} & {*self.law.own}:
                 raise ValueError(f"state: {', '.join(same)} is a result of each contact: rename it")
             spaces |= dict.fromkeys(self.law.own, scalar)
         self.nodal = {name: fem.Function(space, name=name) for name, space in spaces.items()}
